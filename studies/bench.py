@@ -36,16 +36,13 @@ from truenewton.bench.simulated.static import (
     static_bench,
 )
 from truenewton.figures.style import CURVES, INK, STYLE, new_axes
-from truenewton.mirrors.glass import Annulus
+from truenewton.mirrors.glass import Annulus, Points
 from truenewton.mirrors.known import lbt672, mmt336, p45, ring
-from truenewton.mirrors.shell.air_film import breathing_frequency, film_damping
-from truenewton.mirrors.shell.condensation import condense, rigid_motions
+from truenewton.mirrors.shell.dynamics import breathing_frequency, film_damping
+from truenewton.mirrors.shell.finite_elements.mesh import shell_mesh
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
-from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
-from truenewton.mirrors.shell.fourier import RoundShell
-from truenewton.mirrors.shell.held_glass import influence
-from truenewton.mirrors.shell.moving_mass import static_shapes
-from truenewton.mirrors.shell.places import Points
+from truenewton.mirrors.shell.round_shell import RoundShell
+from truenewton.mirrors.shell.shell_model import condense, influence, rigid_motions, static_shapes
 from truenewton.statics.modes import stiffness_modes
 
 

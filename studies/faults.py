@@ -49,7 +49,7 @@ from studies.faulty import files, forces, gains, readings
 from studies.faulty.bench import Bench, Day, bench_of
 from studies.faulty.fault import FAULTS, ORDERS, Fault
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
-from truenewton.mirrors.shell.puck_motion import seen_by
+from truenewton.mirrors.sensor_model import model_sensors
 
 # In the order of the modules that list them.
 SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]
@@ -107,7 +107,7 @@ def happening(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -
 @cache
 def motion_of(bench: Bench) -> Array:
     """Return what the sensors of a bench see."""
-    return seen_by(bench.glass)
+    return model_sensors(bench.glass)
 
 
 def trial(day: Day, method: str = "ml") -> Trial:

@@ -30,7 +30,7 @@ from truenewton.estimation.matrix.coherent_imbalance import coherent_imbalance, 
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
@@ -45,7 +45,7 @@ def sound_matrices(seed):
         for level in (5e-5, 5e-4):
             alpha, matrix = noisy(made, exact, seed, law, level)
             yield f"{law} {level:g}", matrix, alpha
-    glass = held_glass(p45())
+    glass = model_shell(p45())
     for offset in (0.0, 3e-4):
         random = np.random.default_rng(seed)
         values = drawn(random, 45, offset=offset)

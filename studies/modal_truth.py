@@ -11,13 +11,10 @@ from truenewton.arrays import Array
 from truenewton.bench.simulated.truth import Truth
 from truenewton.estimation.readings.row_readers import read_rows
 from truenewton.estimation.screening.screen import screen_campaign
-from truenewton.modal.comparison import compare_modes
-from truenewton.modal.dissipation import Budget, Dissipation, dissipation
-from truenewton.modal.findings import ModalFindings
+from truenewton.modal.findings import ModalFindings, compare_modes
 from truenewton.modal.measured_stiffness import motion_reader
-from truenewton.modal.modal_base import ModalBase, modal_base
-from truenewton.modal.static_force import static_force
-from truenewton.modal.true_stiffness import true_stiffness
+from truenewton.modal.modal_base import Budget, Dissipation, ModalBase, dissipation, modal_base
+from truenewton.modal.true_stiffness import static_force, true_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 

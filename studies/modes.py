@@ -24,14 +24,11 @@ from studies.modal_truth import score_modes
 from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
 from truenewton.estimation.reciprocity.sensor_model import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import at_nominal
-from truenewton.mirrors.sight import motion_for
-from truenewton.modal.comparison import compare_modes
-from truenewton.modal.dissipation import Dissipation, dissipation
-from truenewton.modal.findings import find_modes
-from truenewton.modal.modal_base import modal_base
-from truenewton.modal.pupil import Pupil, seen_turbulence
+from truenewton.mirrors.sensor_model import sensor_model
+from truenewton.modal.findings import compare_modes, find_modes
+from truenewton.modal.modal_base import Dissipation, dissipation, modal_base
 from truenewton.modal.true_stiffness import TrueStiffness, true_stiffness
-from truenewton.modal.turbulence import Atmosphere, structure_function
+from truenewton.modal.turbulence import Atmosphere, Pupil, seen_turbulence, structure_function
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import arms
 from truenewton.statics.modes import stiffness_modes
@@ -71,7 +68,7 @@ def of_sensors(seeds: int) -> None:
     Where the glass is known, from those of the magnets, else from those of sensors at the magnets.
     """
     mirror = tn.mirrors.p45()
-    motion = motion_for(mirror, mirror.layout)
+    motion = sensor_model(mirror, mirror.layout)
     places = places_of(mirror.layout, motion)
     scores: dict[str, list[list[float]]] = {}
     for seed in range(seeds):

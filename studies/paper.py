@@ -15,7 +15,7 @@ import numpy as np
 import truenewton as tn
 from truenewton.bench.simulated.static import StaticBench, run_cycles, static_bench
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
+from truenewton.mirrors.shell.shell_model import forces_under, model_shell, weight_on
 
 LIMITS = (0.3, 0.1, 0.03, 0.01, 0.004)  # of the elastic forces of a shape [N]
 NOISES = {"0.1 mN": 1e-4, "12 uN, as in closed loop": 12e-6}
@@ -66,7 +66,7 @@ def tools(seeds: int) -> None:
 
 def wedges() -> None:
     """Print by how much the ring on its wedges asks for other forces than an even load."""
-    glass = held_glass(p45())
+    glass = model_shell(p45())
     none = forces_under(glass, weight_on(p45(), p45().weight))
     ring = forces_under(glass, weight_on(p45(), p45().weight, p45().added_weight)) - none
     even = forces_under(glass, weight_on(p45(), p45().weight + p45().added_weight)) - none

@@ -42,7 +42,7 @@ from truenewton.estimation.reciprocity.unknowns import Kind, Request, Values, at
 from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.sight import motion_for
+from truenewton.mirrors.sensor_model import sensor_model
 from truenewton.records.campaign import Campaign
 
 GAINS = {"gains known": Request(), "gains +- 0.4 %": Request(0.004), "gains free": Request(np.inf)}
@@ -120,7 +120,7 @@ class Line:
 def campaigns(seeds, bounds, noise, loop):
     """Print scatter, bound and coverage over campaigns."""
     mirror = p45()
-    motion = motion_for(mirror, mirror.layout)
+    motion = sensor_model(mirror, mirror.layout)
     exact = places_of(mirror.layout, motion)
     lines, at_truth, n = {}, [], mirror.layout.n
     for seed in range(seeds):

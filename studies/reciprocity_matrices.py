@@ -20,8 +20,8 @@ from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.sensor_model import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Request
 from truenewton.mirrors.known import lbt672, p45
-from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.puck_motion import seen_by
+from truenewton.mirrors.sensor_model import model_sensors
+from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
 from truenewton.statics.layout import layout as actuators_at
@@ -71,7 +71,7 @@ FAULTS = {
 def gate(seeds):
     """Print what `auto` makes of stiffnesses with faults; good is what beats balance alone."""
     mirror = p45()
-    glass = held_glass(mirror)
+    glass = model_shell(mirror)
     print(f"{'':<18}joint      balance    apart   good  accepted  falsely  rejected falsely")
     for name, options in FAULTS.items():
         rows = []
@@ -166,7 +166,7 @@ def real():
     print("without a model of the glass")
     examine(matrix)
     print("the glass as LBT672 has it")
-    examine(matrix, seen_by(held_glass(replace(lbt672(), layout=matrix.layout))))
+    examine(matrix, model_sensors(model_shell(replace(lbt672(), layout=matrix.layout))))
 
 
 def examine(matrix, motion=None):
@@ -214,7 +214,7 @@ def large():
     some = np.sort(np.random.default_rng(1).choice(whole.layout.n, 650, replace=False))
     at = actuators_at(*(getattr(whole.layout, name)[some] for name in ("x", "y")),
                       nz=whole.layout.nz[some])  # fmt: skip
-    glass = held_glass(replace(whole, layout=at))
+    glass = model_shell(replace(whole, layout=at))
     cases = (
         ("plate, 1 mN, 1 um at most", None, 1e-3, 1e-6),
         ("plate, 0.3 mN, 1 um at most", None, 3e-4, 1e-6),
@@ -227,7 +227,7 @@ def large():
         values = drawn(random, at.n, offset=5e-4)
         exact = by_glass(glass, values) if shell else by_plate(at, glass.stiffness, values)
         made = with_noise(random, exact, values, noise, stroke)
-        motion = seen_by(glass) if shell == "with" else None
+        motion = model_sensors(glass) if shell == "with" else None
         matrix = StiffnessMatrix("LBT672", START, at, made.stiffness)
         found = examined(modes_of(matrix.layout, MatrixFacts.of(matrix), motion))
         least = bound_of_matrix(made, at, START_REQUEST, motion)

@@ -39,7 +39,7 @@ from truenewton.bench.simulated.truth import truth_path
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.mirrors.file import whole_mirror_from
 from truenewton.mirrors.segmented import SegmentedMirror
-from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.statics.arms import enabled_arms
 
 
@@ -153,7 +153,7 @@ def main() -> None:
     if not isinstance(mirror, SegmentedMirror):
         parser.error(f"{arguments.mirror} is in one piece")
     if arguments.glass:
-        held_glass(mirror.segments[arguments.glass - 1])
+        model_shell(mirror.segments[arguments.glass - 1])
         return
 
     def draw() -> SegmentedBench:

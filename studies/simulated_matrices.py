@@ -10,8 +10,13 @@ from truenewton.estimation.reciprocity.regression import Regressed
 from truenewton.estimation.reciprocity.sensor_model import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.mirrors.known import p45, ring
-from truenewton.mirrors.shell.condensation import condense, rearming, rigid_motions
-from truenewton.mirrors.shell.held_glass import held_glass, influence
+from truenewton.mirrors.shell.shell_model import (
+    condense,
+    influence,
+    model_shell,
+    rearming,
+    rigid_motions,
+)
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
 from truenewton.statics.layout import layout as actuators_at
@@ -165,7 +170,7 @@ def _exchanged(k, random, count):
 def foreign(date):
     """Yield names of kinds of matrices, and what makes one by a seed, with its log alpha."""
     mirror = p45()
-    glass = held_glass(mirror)
+    glass = model_shell(mirror)
 
     def made(change=lambda k, *_: k, *, layout=None, stiffness=None, noise=1e-3,
              gain=0.004):  # fmt: skip
@@ -198,7 +203,7 @@ def foreign(date):
     yield "in mN/m", made(lambda k, *_: 1e3 * k)
     yield "gains within 5 %", made(gain=0.05)
     at = ring(78)
-    stiff = held_glass(at).stiffness
+    stiff = model_shell(at).stiffness
     yield "78 actuators, 20 mN of noise", made(layout=at.layout, stiffness=stiff, noise=0.02)
     small, wide = hexagon(3), hexagon(4)
     yield "hexagon of 37, thin plate", made(layout=small, stiffness=springs(small, _plate(30.0)))

@@ -16,8 +16,8 @@ import truenewton as tn
 from studies.matrices import measured_lbt672
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import lbt672, p45
-from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.modal.comparison import compare_modes
+from truenewton.mirrors.shell.shell_model import model_shell
+from truenewton.modal.findings import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.statics.arms import arms
@@ -71,7 +71,7 @@ def simulated(force_noise, gains_known):
 
 def measured(matrix):
     """Return (steps, orders) rms angles between measured and modelled modes."""
-    model = held_glass(replace(lbt672(), layout=matrix.layout)).stiffness
+    model = model_shell(replace(lbt672(), layout=matrix.layout)).stiffness
     model = stiffness_modes(model - 31.0 * np.eye(len(model)), arms(matrix.layout).T)
     calibration = tn.calibrate(matrix, population=True)
     print("measured LBT672")

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.linalg import eigvalsh
 from scipy.special import gamma, rgamma
 
+from truenewton.modal.bases import zernike
 from truenewton.modal.turbulence import SPECTRUM, WAVELENGTH, Atmosphere, wavefront_covariance
-from truenewton.modal.zernikes import zernike
 
 Array = np.ndarray
 

@@ -46,18 +46,18 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.estimation.findings.finding import Finding as Finding
     from truenewton.foreign.export import export_supervisor as export_supervisor
     from truenewton.foreign.importing import stiffness_from as stiffness_from
-    from truenewton.mirrors.sight import motion_for as motion_for
+    from truenewton.mirrors.sensor_model import sensor_model as sensor_model
     from truenewton.modal.bases import karhunen_loeve_modes as karhunen_loeve_modes
     from truenewton.modal.bases import zernike_modes as zernike_modes
-    from truenewton.modal.dissipation import Budget as Budget
     from truenewton.modal.file import write_modes as write_modes
     from truenewton.modal.findings import ModalFindings as ModalFindings
     from truenewton.modal.findings import find_modes as find_modes
     from truenewton.modal.measured_stiffness import measured_stiffness as measured_stiffness
+    from truenewton.modal.modal_base import Budget as Budget
     from truenewton.modal.true_stiffness import true_stiffness as true_stiffness
     from truenewton.modal.turbulence import Atmosphere as Atmosphere
     from truenewton.modal.turbulence import wavefront_covariance as wavefront_covariance
-    from truenewton.planning.outlook import read_outlook as read_outlook
+    from truenewton.planning.plan_prediction import predict_plan as predict_plan
     from truenewton.reading import read as read
     from truenewton.reading import read_calibration as read_calibration
     from truenewton.reading import read_campaign as read_campaign
@@ -114,15 +114,15 @@ _NAMES = {
     "estimation.findings.finding": ["Finding"],
     "foreign.export": ["export_supervisor"],
     "foreign.importing": ["stiffness_from"],
-    "mirrors.sight": ["motion_for"],
+    "mirrors.sensor_model": ["sensor_model"],
     "modal.bases": ["karhunen_loeve_modes", "zernike_modes"],
-    "modal.dissipation": ["Budget"],
+    "modal.modal_base": ["Budget"],
     "modal.file": ["write_modes"],
     "modal.findings": ["ModalFindings", "find_modes"],
     "modal.measured_stiffness": ["measured_stiffness"],
     "modal.true_stiffness": ["true_stiffness"],
     "modal.turbulence": ["Atmosphere", "wavefront_covariance"],
-    "planning.outlook": ["read_outlook"],
+    "planning.plan_prediction": ["predict_plan"],
     "reading": ["read", "read_calibration", "read_campaign", "read_stiffness"],
     "recalibration.fit": ["recalibrate"],
     "recalibration.segments": ["recalibrate_segments"],

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 import truenewton as tn
 from studies.accuracy import rings336
 from truenewton.mirrors.known import Mirror, p45
-from truenewton.mirrors.shell.held_glass import (
+from truenewton.mirrors.shell.shell_model import (
     ExternalForces,
-    HeldGlass,
+    ShellModel,
     external_resultants,
     forces_under,
-    held_glass,
+    model_shell,
     tool_wedges,
     weight_on,
 )
@@ -56,7 +56,7 @@ class Bench:
     """A mirror and what its glass does: the same for all seeds."""
 
     mirror: Mirror
-    glass: HeldGlass
+    glass: ShellModel
 
     @cached_property
     def arms(self) -> Array:
@@ -93,7 +93,7 @@ class Bench:
 def bench_of(name: str) -> Bench:
     """Return P45 with B = 3.6 N, or 336 actuators on rings without bias magnets."""
     mirror = rings336() if name == "336" else replace(p45(), bias_force=0.080)
-    return Bench(mirror, held_glass(mirror))
+    return Bench(mirror, model_shell(mirror))
 
 
 @dataclass(eq=False)

@@ -27,7 +27,7 @@ from truenewton.estimation.screening.noise import Noise
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.planning.forces import noiseless, prepared
-from truenewton.planning.third_load import third_load
+from truenewton.planning.plan_prediction import third_load
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
 

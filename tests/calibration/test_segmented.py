@@ -24,8 +24,8 @@ from truenewton.errors import (
 from truenewton.figures.maps import bears_names, dot_radius, plot_map, segment_places
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.segmented import gmt
-from truenewton.modal.pupil import pupil_of
 from truenewton.modal.segments import modes_of_segments
+from truenewton.modal.turbulence import pupil_of
 from truenewton.progress import telling
 from truenewton.reading import read_one
 from truenewton.records.fault import Fault

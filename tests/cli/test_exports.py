@@ -18,7 +18,7 @@ from helpers.balanced import campaign_of, p45_campaign
 from truenewton.calibration import words as calibration_words
 from truenewton.calibration.words import warning_lines
 from truenewton.errors import OutputFailed
-from truenewton.modal import words as modal_words
+from truenewton.modal import summary as modal_summary
 from truenewton.tracking import words as tracking_words
 
 ROOT = Path(__file__).parents[2]
@@ -139,7 +139,7 @@ def test_a_notebook_shows_what_the_terminal_says(campaign, calibration):
     results = (
         (calibration, calibration_words, list(warning_lines(calibration.verdict.faults))),
         (tn.track(*days), tracking_words, ["nobody leaves the family"]),
-        (modes, modal_words, [f"verdict on alpha {modes.calibration.verdict}"]),
+        (modes, modal_summary, [f"verdict on alpha {modes.calibration.verdict}"]),
     )
     for result, words, more in results:
         shown = text_of(result._repr_html_())

@@ -21,8 +21,7 @@ from truenewton.figures.maps import (
 )
 from truenewton.figures.style import COLUMN
 from truenewton.mirrors.known import p45
-from truenewton.statics.groups import ring_centre, ring_of
-from truenewton.statics.layout import layout, rings
+from truenewton.statics.layout import layout, ring_centre, ring_of, rings
 
 
 @pytest.fixture

@@ -24,11 +24,10 @@ from truenewton.files.fits import read_fits
 from truenewton.files.sizes import BLOCK, CARD, check_sizes
 from truenewton.files.toml import read_toml
 from truenewton.linalg import inverse_of_positive
-from truenewton.mirrors.shell.finite_elements.outline import checked_sides
-from truenewton.mirrors.tables import layout_in
-from truenewton.modal.actuator_roles import off_and_slaved
-from truenewton.modal.pupil import Pupil
-from truenewton.modal.turbulence import Atmosphere
+from truenewton.mirrors.file import layout_in
+from truenewton.mirrors.shell.finite_elements.outline import check_mesh_size
+from truenewton.modal.true_stiffness import off_and_slaved
+from truenewton.modal.turbulence import Atmosphere, Pupil
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import layout
 from truenewton.statics.load import Load
@@ -189,7 +188,7 @@ SQUARE = [[[0, 0], [1, 0], [1, 1], [0, 1]]]
     ("make", "kind", "said"),
     [
         (lambda: layout(np.linspace(0, 1, 20001), np.zeros(20001)), GeometryError, "are 20001 act"),
-        (lambda: checked_sides(SQUARE, 1e-300), GeometryError, "mesh size"),
+        (lambda: check_mesh_size(list(map(np.array, SQUARE)), 1e-300), GeometryError, "mesh size"),
         (lambda: off_and_slaved(layout([0.0, 0.1], [0.1, 0.0]), [10**30], ()), UnknownName, "ID 1"),
         (lambda: Atmosphere(1e-320), FormatError, None),
         (lambda: Pupil(1e-320, 8.0), FormatError, None),

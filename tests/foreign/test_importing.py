@@ -38,7 +38,7 @@ from truenewton.foreign.soundness import judge
 from truenewton.foreign.stored import read_stored
 from truenewton.foreign.supervisor import supervisor_order
 from truenewton.rounding import percent
-from truenewton.statics.groups import ring_of
+from truenewton.statics.layout import ring_of
 
 CASE = measured()
 XY = np.stack([CASE.layout.x, CASE.layout.y])

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from truenewton.mirrors.glass import Shell, rim
-from truenewton.mirrors.shell import condensation, held_glass
+from truenewton.mirrors.shell import shell_model
+from truenewton.mirrors.shell.finite_elements.mesh import shell_mesh
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
-from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
-from truenewton.mirrors.shell.fourier import RoundShell
+from truenewton.mirrors.shell.round_shell import RoundShell
 from truenewton.statics.layout import rings
 
 FLAT = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
@@ -16,7 +16,7 @@ SPHERE = replace(FLAT, radius_of_curvature=2.0)
 COUNTS = np.array([9, 15, 21])
 LAYOUT = rings(list(COUNTS * 30.5e-3 / (2 * np.pi)), list(COUNTS))
 X, Y = LAYOUT.x, LAYOUT.y
-TILTS = condensation.rigid_motions(X, Y)
+TILTS = shell_model.rigid_motions(X, Y)
 
 
 def circle(radius, n, first=0.0):
@@ -34,7 +34,7 @@ def uniform_influence(shell, at, **reading):
 
 def condense(compliance, tilts):
     """Condense what is read just as forces act, so that the stiffness is symmetric."""
-    condensed = condensation.condense(compliance, tilts)
+    condensed = shell_model.condense(compliance, tilts)
     return replace(condensed, stiffness=0.5 * (condensed.stiffness + condensed.stiffness.T))
 
 
@@ -44,9 +44,9 @@ def holding_forces(condensed, displacement, load_influence, load_resultants):
 
 
 def free_stiffness(free, at, *, sensor=None, puck_radius=0.0):
-    compliance = held_glass.influence(free, at, at, sensor, puck_radius)
-    condensing = condense if sensor == rim(puck_radius) else condensation.condense
-    return condensing(compliance, condensation.rigid_motions(*at)).stiffness
+    compliance = shell_model.influence(free, at, at, sensor, puck_radius)
+    condensing = condense if sensor == rim(puck_radius) else shell_model.condense
+    return condensing(compliance, shell_model.rigid_motions(*at)).stiffness
 
 
 def stiffness(shell, x, y, *, digits=13, **reading):

@@ -14,10 +14,15 @@ from truenewton.bench.simulated.static import held_command, loop_of, run_cycles,
 from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import ring
-from truenewton.mirrors.shell.air_film import VISCOSITY, film_damping
-from truenewton.mirrors.shell.held_glass import forces_under, held_glass, tool_wedges, weight_on
-from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
-from truenewton.mirrors.shell.puck_motion import displaced_readings
+from truenewton.mirrors.sensor_model import displaced_readings
+from truenewton.mirrors.shell.dynamics import VISCOSITY, film_damping, moving_mass
+from truenewton.mirrors.shell.shell_model import (
+    forces_under,
+    model_shell,
+    static_shapes,
+    tool_wedges,
+    weight_on,
+)
 from truenewton.statics.arms import external_load, resultants
 from truenewton.statics.layout import layout
 
@@ -48,7 +53,7 @@ def test_a_nearly_round_outline_is_the_ring():
     The load is the weight, magnets, a tool off its centre and bias magnets. Pucks are of 5 mm,
     which the annulus of the sensor does not see.
     """
-    glasses = one, other = held_glass(ROUND), held_glass(outlined(ROUND, 8e-3))
+    glasses = one, other = model_shell(ROUND), model_shell(outlined(ROUND, 8e-3))
     assert other.stiffness == pytest.approx(one.stiffness, abs=3e-3 * np.abs(one.stiffness).max())
     stretch = [np.linalg.svd(glass.stiffness, compute_uv=False)[:-3] for glass in glasses]
     assert stretch[1] == pytest.approx(stretch[0], rel=3e-3)
@@ -114,7 +119,7 @@ def test_frequencies(plate_and_actuators, length, published, worst):
         ROUND, layout=at, shell=plate, magnet_mass=0.0, puck_radius=0.0, vent_radius=0.0,
         sensor=Annulus(1e-6, 1e-6),
     )  # fmt: skip
-    glass = held_glass(mirror)
+    glass = model_shell(mirror)
     shapes = static_shapes(glass)
     K, M = 0.5 * (glass.stiffness + glass.stiffness.T), moving_mass(glass, shapes)[0]
     per_mass = plate.density * plate.thickness / plate.bending_stiffness

@@ -25,8 +25,8 @@ from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import GRAVITY
 from truenewton.mirrors.segmented import SEGMENTED
+from truenewton.mirrors.sensor_model import edges_for, segment_sensor_models, sensor_model
 from truenewton.mirrors.shell.finite_elements.outline import depth_inside
-from truenewton.mirrors.sight import edges_for, motion_by_segment, motion_for
 from truenewton.statics.arms import effective_weight, external_load, resultants
 from truenewton.statics.layout import layout
 
@@ -271,14 +271,14 @@ def test_what_sensors_of_segments_see(inside, tiny):
     whole = whole_mirror_from(tiny)
     square, place = whole.segments[1], whole.places[1]
     own = whole.layout.segment == 2
-    seen = motion_for(whole, whole.layout)
+    seen = sensor_model(whole, whole.layout)
     assert not seen[:, own][:, :, ~own].any()
-    by_segment = motion_by_segment(whole, whole.layout)
+    by_segment = segment_sensor_models(whole, whole.layout)
     assert sorted(by_segment) == [1, 2, 3]
     for number, of_it in by_segment.items():
         assert np.array_equal(seen_of(seen, whole.layout, number), of_it)
         assert seen_of(by_segment, whole.layout, number) is of_it
-    assert np.array_equal(motion_for(whole, whole.layout.part(own)), by_segment[2])
+    assert np.array_equal(sensor_model(whole, whole.layout.part(own)), by_segment[2])
     (edge,) = (whole.seen_edges()[1] - [place.x, place.y],)
     at = whole.layout.part(own)
     alone = replace(
@@ -286,7 +286,7 @@ def test_what_sensors_of_segments_see(inside, tiny):
         shell=replace(square.shell, outline=Outline(tuple(map(tuple, edge.tolist())))),
         layout=layout(at.x - place.x, at.y - place.y),
     )
-    expected = motion_for(alone, alone.layout)
+    expected = sensor_model(alone, alone.layout)
     for one, other in zip(seen[:, own][:, :, own], expected, strict=True):
         assert np.linalg.norm(one - other) < 0.02 * np.linalg.norm(other)
     folder, found = tiny.with_name("r"), tiny.with_name("r.fits")
@@ -327,7 +327,7 @@ def test_segments_of_data_are_those_of_the_glass(tiny, lost):
     """Discs 1 and 3 hold as many actuators, so nothing else would tell them apart."""
     whole = whole_mirror_from(tiny)
     other = None if lost else 4 - np.asarray(whole.layout.segment)
-    for of in (motion_for, edges_for):
+    for of in (sensor_model, edges_for):
         with pytest.raises(tn.errors.CampaignMismatch, match="other actuators behind a segment"):
             of(whole, replace(whole.layout, segment=other))
 

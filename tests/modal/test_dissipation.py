@@ -8,10 +8,9 @@ import pytest
 
 import truenewton as tn
 from truenewton.errors import FormatError
-from truenewton.modal.dissipation import Budget, dissipation
-from truenewton.modal.pupil import Pupil, SeenTurbulence
+from truenewton.modal.modal_base import Budget, dissipation
 from truenewton.modal.true_stiffness import true_stiffness
-from truenewton.modal.turbulence import Atmosphere
+from truenewton.modal.turbulence import Atmosphere, Pupil, SeenTurbulence
 
 N = 12
 ALL = np.ones(N, dtype=bool)

@@ -9,9 +9,8 @@ import pytest
 
 import truenewton as tn
 from truenewton.modal.modal_base import modal_base
-from truenewton.modal.pupil import Pupil, seen_turbulence
 from truenewton.modal.true_stiffness import true_stiffness
-from truenewton.modal.turbulence import Atmosphere, structure_function
+from truenewton.modal.turbulence import Atmosphere, Pupil, seen_turbulence, structure_function
 
 NUMBERS = np.array([100, 200, 400, 600, 650])
 PUPIL, EFFICIENCY = Pupil(radius=0.452, diameter=8.22), 0.508

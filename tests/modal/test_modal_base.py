@@ -14,13 +14,12 @@ from truenewton.bench.simulated.static import START, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnknownName
 from truenewton.estimation.findings.estimate import Sensor
-from truenewton.modal import findings, words
-from truenewton.modal.dissipation import Budget
+from truenewton.modal import findings, summary
 from truenewton.modal.figures import modes_figures
 from truenewton.modal.file import modes_paths, write_modes
 from truenewton.modal.findings import find_modes
-from truenewton.modal.pupil import Pupil, pupil_of, seen_turbulence
-from truenewton.modal.turbulence import Atmosphere
+from truenewton.modal.modal_base import Budget
+from truenewton.modal.turbulence import Atmosphere, Pupil, pupil_of, seen_turbulence
 from truenewton.records.campaign import Campaign
 
 
@@ -168,7 +167,7 @@ def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
     told = json.loads(out)
     assert told["bases"][0]["modes_within"] == number
     np.testing.assert_allclose(told["bases"][0]["residual"], found.after.costs[0].residual)
-    said = words.lines(found, Budget(power=0.05))
+    said = summary.lines(found, Budget(power=0.05))
     assert any(f"stiffness             {number} of 45" in line for line in said)
     code, out, err = inside(*asked)
     assert code == 2
@@ -265,7 +264,7 @@ def test_the_command_asks_the_glass_what_annular_sensors_see(p45, inside, tmp_pa
     found.calibration.write(tmp_path / "alpha.fits")
     asked = ("modes", tmp_path / "s.fits", "--calibration", tmp_path / "alpha.fits", "--json")
     code, out, _ = inside(*asked, "--mirror", "p45")
-    motion = tn.motion_for(tn.mirrors.p45(), matrix.layout)
+    motion = tn.sensor_model(tn.mirrors.p45(), matrix.layout)
     again = find_modes(matrix, found.calibration, motion=motion)
     assert code == 0
     assert json.loads(out)["stiffness"] == pytest.approx(again.after.modes.stiffness.tolist())
@@ -334,15 +333,15 @@ def test_a_large_mirror_takes_six_matrices_and_is_not_compared(monkeypatch):
     n = 300
     find_modes(*random_mirror(30), force=True)  # what is imported on the way does not count
     matrix, calibration = random_mirror(n)
-    monkeypatch.setattr(findings, "MOST_COMPARED", n - 1)
+    monkeypatch.setattr(findings, "MAX_COMPARED", n - 1)
     tracemalloc.start()
     found = find_modes(matrix, calibration, force=True)
     peak = tracemalloc.get_traced_memory()[1] / (8 * n * n)
-    told = words.values(found, Budget(power=0.1))
+    told = summary.values(found, Budget(power=0.1))
     tracemalloc.stop()
     assert 3.0 < peak < 6.5
     assert told["uncalibrated_modes"] is None
     assert {base["modes_within_uncalibrated"] for base in told["bases"]} == {None}
-    assert not any("alpha = 1 it would" in line for line in words.lines(found, Budget(power=0.1)))
+    assert not any("alpha = 1 it would" in line for line in summary.lines(found, Budget(power=0.1)))
     assert "modes-comparison" not in modes_figures(found, Budget())
     assert "before" not in vars(found)

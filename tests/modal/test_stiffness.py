@@ -25,9 +25,9 @@ from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
-from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.puck_motion import puck_motion, seen_by
-from truenewton.modal.comparison import compare_modes
+from truenewton.mirrors.sensor_model import model_sensors, puck_motion
+from truenewton.mirrors.shell.shell_model import model_shell
+from truenewton.modal.findings import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.reading import read
@@ -357,7 +357,7 @@ def test_annuli_off_their_magnets_are_exact_where_the_glass_is_known(disabled):
     calibration = with_sensors(
         replace(calibration, alpha=values.alpha), values.gain, values.offset.T
     )
-    seen = seen_by(glass)
+    seen = model_sensors(glass)
     by_model, by_plate = (
         true_stiffness(matrix, calibration, motion=motion) for motion in (seen, None)
     )
@@ -433,9 +433,9 @@ def test_an_actuator_whose_row_is_unlike_its_column_is_named():
 
 def test_actuators_that_are_off_leave_the_stiffness_of_a_mirror_without_them():
     """A shell with fewer actuators, from the shell model; BIASGRAD would be taken from all."""
-    whole, kept = held_glass(p45()).stiffness, ~np.isin(np.arange(45), (2, 19, 44))
+    whole, kept = model_shell(p45()).stiffness, ~np.isin(np.arange(45), (2, 19, 44))
     layout = p45().layout
-    smaller = held_glass(replace(p45(), layout=taken(layout, kept))).stiffness
+    smaller = model_shell(replace(p45(), layout=taken(layout, kept))).stiffness
     smaller = 0.5 * (smaller + smaller.T)
     _, _, _, calibration = known()
     matrix = StiffnessMatrix("P45", DATE, layout, whole / calibration.alpha[:, None])
@@ -515,7 +515,7 @@ def test_what_cannot_be_is_refused():
 def test_on_a_real_lbt672_alpha_and_statics_bring_the_soft_modes_to_those_of_the_model():
     """The model knows nothing of the measured matrix."""
     matrix = read(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")
-    model = held_glass(replace(lbt672(), layout=matrix.layout)).stiffness - 31 * np.eye(650)
+    model = model_shell(replace(lbt672(), layout=matrix.layout)).stiffness - 31 * np.eye(650)
     theirs = stiffness_modes(model, arms(matrix.layout).T)
     plain = true_stiffness(matrix, None)
     found = true_stiffness(matrix, calibrate(matrix, population=True))

@@ -10,7 +10,7 @@ from scipy.special import j0
 from studies import turbulence as published
 from truenewton.errors import FormatError, GeometryError
 from truenewton.mirrors.known import mirror
-from truenewton.modal.bases import karhunen_loeve_modes, zernike_modes
+from truenewton.modal.bases import karhunen_loeve_modes, noll_orders, zernike, zernike_modes
 from truenewton.modal.turbulence import (
     FRIED,
     SPECTRUM,
@@ -19,7 +19,6 @@ from truenewton.modal.turbulence import (
     structure_function,
     wavefront_covariance,
 )
-from truenewton.modal.zernikes import noll_orders, zernike
 
 
 @pytest.fixture(scope="module")

@@ -24,17 +24,21 @@ from truenewton.acquisition.shapes import model_glass, shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.scale_budget import FROM_READINGS, tilt_as_load, typical
-from truenewton.estimation.prediction import predict
 from truenewton.estimation.reciprocity.sensor_model import places_of
 from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.sight import motion_for
-from truenewton.planning.figures import plot_outlook
+from truenewton.mirrors.sensor_model import sensor_model
+from truenewton.planning.figures import plot_plan
 from truenewton.planning.forces import holding, noiseless, prepared, strain
-from truenewton.planning.outlook import outlook, predicted, with_sensors
-from truenewton.planning.target import ways_to
-from truenewton.planning.words import lines
+from truenewton.planning.plan_prediction import (
+    predict_errors,
+    predict_prepared,
+    suggest_changes,
+    with_sensors,
+)
+from truenewton.planning.prediction import predict
+from truenewton.planning.summary import lines
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
@@ -103,7 +107,7 @@ def test_what_is_stated_and_what_scatters_is_what_was_predicted():
 
 
 def test_a_planned_day_at_the_simulated_bench_gives_what_was_predicted(ready):
-    found = predicted(ready)
+    found = predict_errors(ready)
     bench = replace(static_bench(p45(), 5, loads=LOADS), shapes=ready.shapes)
     calibration = tn.calibrate(Campaign(tuple(run_cycles(bench, PLAN.cycles))))
     assert typical(calibration.reading_error, calibration.alpha) == pytest.approx(
@@ -123,7 +127,7 @@ def test_of_reciprocity_the_bound_is_predicted(ready, sensors):
     plan = replace(PLAN, force_noise=1e-3, sensors=sensors)
     found = with_sensors(ready.changed(plan), [plan.cycles]).planned
     n, glass = 45, model_glass(p45())
-    places = places_of(p45().layout, motion_for(p45(), p45().layout))
+    places = places_of(p45().layout, sensor_model(p45(), p45().layout))
     stiffness = glass.stiffness / 0.9
     square = 2 * 2 * plan.cycles * ready.shapes.T @ ready.shapes
     rows = 1e-6 * np.eye(n) + sensors.noise**2 * stiffness @ stiffness.T
@@ -148,7 +152,7 @@ def test_reciprocity_states_and_scatters_as_was_predicted(ready):
     plan = replace(PLAN, force_noise=1e-3, sensors=AssumedSensors(offset=0.0))
     said = with_sensors(ready.changed(plan), [plan.cycles])
     found = said.planned
-    mean, motion = np.eye(45) - 1.0 / 45, motion_for(p45(), p45().layout)
+    mean, motion = np.eye(45) - 1.0 / 45, sensor_model(p45(), p45().layout)
     stated, gains, squares = [], [], []
     for seed in range(8):
         bench = static_bench(p45(), seed, loads=LOADS, force_noise=1e-3)
@@ -165,12 +169,12 @@ def test_reciprocity_states_and_scatters_as_was_predicted(ready):
     # 8 x 44 numbers, but of few patterns that are weak.
     assert np.sqrt(np.mean(squares) / np.mean(relative)) == pytest.approx(1.0, abs=0.12)
     # The weights limit the scale as ever.
-    assert found.systematic_error == pytest.approx(predicted(ready).systematic_error)
+    assert found.systematic_error == pytest.approx(predict_errors(ready).systematic_error)
 
 
 def test_without_all_motions_there_is_no_reciprocity(ready):
     few = prepared(replace(PLAN, shapes=PlannedShapes(count=30)))
-    found = outlook(few)
+    found = predict_prepared(few)
     assert found.reciprocity.planned is None
     assert found.reciprocity.why_not == "no shape holds 15 of 45 motions of the mirror"
     assert f"  by reciprocity          cannot be had: {found.reciprocity.why_not}" in [
@@ -194,7 +198,7 @@ def test_three_loads_whose_weights_can_correct_each_other():
 @pytest.mark.parametrize("tilt", [20.0, 60.0])
 def test_a_tilt_as_the_load(ready, tilt):
     leaning = (Load("bare"), Load("tilted", tilt=tilt, tilt_error=0.1))
-    found = predicted(ready.changed(replace(PLAN, loads=leaning)))
+    found = predict_errors(ready.changed(replace(PLAN, loads=leaning)))
     mirror = p45()
     expected = tilt_as_load(mirror.weight, mirror.weight_error, tilt, 0.1)
     weights = [line.relative for line in found.scale_errors if line.source != FROM_READINGS]
@@ -202,7 +206,7 @@ def test_a_tilt_as_the_load(ready, tilt):
 
 
 def test_repeats_make_it_better_as_their_root(ready):
-    against = outlook(ready).against_cycles
+    against = predict_prepared(ready).against_cycles
     assert against.values.tolist() == [1, 2, 4, 8, 16, 32, 64]
     assert against.reading_error == pytest.approx(
         against.reading_error[0] / np.sqrt(against.values), rel=1e-3
@@ -211,7 +215,7 @@ def test_repeats_make_it_better_as_their_root(ready):
 
 def test_one_load_or_equal_ones_leave_the_scale_free(ready):
     for loads in ((Load("bare"),), (Load("bare"), Load("again"))):
-        found = predicted(ready.changed(replace(PLAN, loads=loads)))
+        found = predict_errors(ready.changed(replace(PLAN, loads=loads)))
         assert found.scale_is_free
         assert found.typical == np.inf
         assert found.diagnosis.warnings[0].code in ("one-load", "equal-loads")
@@ -222,8 +226,8 @@ def test_one_load_or_equal_ones_leave_the_scale_free(ready):
 def test_too_few_shapes_are_refused_and_weak_ones_warned_of(ready):
     few = replace(PLAN, shapes=PlannedShapes(count=8))
     with pytest.raises(RankDeficient, match="too few shapes: 8 for 45"):
-        predicted(prepared(few))
-    loud = predicted(ready.changed(replace(PLAN, force_noise=0.15)))
+        predict_errors(prepared(few))
+    loud = predict_errors(ready.changed(replace(PLAN, force_noise=0.15)))
     assert loud.diagnosis.undetermined > 4
     assert loud.diagnosis.warnings[0].code == "planned-refusal"
     # The estimator says the same of such a campaign.
@@ -238,36 +242,36 @@ def test_every_way_that_reaches_the_target_does_when_planned_anew(ready):
     plan = replace(PLAN, force_noise=9e-3, limits=replace(PLAN.limits, force=1.5))
     loud = ready.changed(plan)
     target = 0.025
-    assert predicted(loud).typical > target
-    ways = {way.what: way for way in ways_to(loud, target)}
-    assert set(ways) == {"cycles", "added weight", "balance", "tilt", "shapes"}
-    reached = [way for way in ways.values() if way.reached]
-    assert {way.what for way in reached} >= {"cycles", "shapes"}
-    for way in reached:
-        again = outlook(prepared(way.plan))
+    assert predict_errors(loud).typical > target
+    changes = {change.what: change for change in suggest_changes(loud, target)}
+    assert set(changes) == {"cycles", "added weight", "balance", "tilt", "shapes"}
+    reached = [change for change in changes.values() if change.reached]
+    assert {change.what for change in reached} >= {"cycles", "shapes"}
+    for change in reached:
+        again = predict_prepared(prepared(change.plan))
         assert again.prediction.typical <= target
-        assert again.prediction.typical == pytest.approx(way.error, rel=1e-6)
-        assert again.duration == pytest.approx(way.duration)
-    more = ways["cycles"].plan
+        assert again.prediction.typical == pytest.approx(change.error, rel=1e-6)
+        assert again.duration == pytest.approx(change.duration)
+    more = changes["cycles"].plan
     fewer = replace(more, cycles=more.cycles - 1)
-    assert predicted(loud.changed(fewer)).typical > target
-    assert not ways["balance"].reached
-    assert ways["balance"].error > target
+    assert predict_errors(loud.changed(fewer)).typical > target
+    assert not changes["balance"].reached
+    assert changes["balance"].error > target
 
 
 def test_of_weights_the_balance_or_a_tilt_help_and_cycles_do_not(ready):
-    ways = {way.what: way for way in ways_to(ready, 0.005)}
-    assert [name for name, way in ways.items() if way.reached] == ["balance", "tilt"]
-    known = ways["balance"].plan.loads[1].added_error
+    changes = {change.what: change for change in suggest_changes(ready, 0.005)}
+    assert [name for name, change in changes.items() if change.reached] == ["balance", "tilt"]
+    known = changes["balance"].plan.loads[1].added_error
     assert 0.9 < known / (0.005 * 0.289) <= 1.0
-    assert ways["cycles"].error == pytest.approx(0.005 / 0.289, rel=1e-3)
+    assert changes["cycles"].error == pytest.approx(0.005 / 0.289, rel=1e-3)
     # The heaviest weight is what the limit of force allows.
-    heavier = replace(ways["added weight"].plan, loads=(LOADS[0], replace(LOADS[1], added=-1.5)))
-    assert strain(ready.changed(ways["added weight"].plan)).force <= 0.6
+    heavier = replace(changes["added weight"].plan, loads=(LOADS[0], replace(LOADS[1], added=-1.5)))
+    assert strain(ready.changed(changes["added weight"].plan)).force <= 0.6
     with pytest.raises(tn.errors.LimitExceeded, match=r"actuator \d+ takes 0.\d+ N under load"):
         strain(ready.changed(heavier))
-    bare = ways_to(ready.changed(replace(PLAN, loads=LOADS[:1])), 0.005)
-    assert [way.reached for way in bare] == [False, False, False, True, False]
+    bare = suggest_changes(ready.changed(replace(PLAN, loads=LOADS[:1])), 0.005)
+    assert [change.reached for change in bare] == [False, False, False, True, False]
     assert bare[1].plan is None
 
 
@@ -284,15 +288,17 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
     assert np.abs(force).max() == pytest.approx(0.3)
     by_measured = prepared(plan, tmp_path)
     assert not by_measured.given
-    assert predicted(by_measured).typical == pytest.approx(predicted(ready).typical, rel=0.01)
+    assert predict_errors(by_measured).typical == pytest.approx(
+        predict_errors(ready).typical, rel=0.01
+    )
 
     write_shapes(tmp_path / "given.fits", 0.5 * ready.shapes)
     given = prepared(replace(PLAN, shapes=PlannedShapes("given.fits")), tmp_path)
     assert given.given
-    half, whole = predicted(given), predicted(ready)
+    half, whole = predict_errors(given), predict_errors(ready)
     # Twice, but for what the static forces say of alpha.
     assert half.reading_error == pytest.approx(1.85 * whole.reading_error, rel=0.08)
-    assert ways_to(given, 1e-4)[-1].plan is None
+    assert suggest_changes(given, 1e-4)[-1].plan is None
     for wrong, said in (
         (np.zeros((45, 45)), "no more than noise"),
         (ready.shapes[:, 1:], "give shapes x 45 actuators"),
@@ -300,7 +306,7 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
     ):
         write_shapes(tmp_path / "given.fits", wrong)
         with pytest.raises((RankDeficient, tn.errors.FormatError), match=said):
-            predicted(prepared(given.plan, tmp_path))
+            predict_errors(prepared(given.plan, tmp_path))
 
 
 def test_disabled_actuators_take_no_part(ready):
@@ -318,7 +324,7 @@ def test_disabled_actuators_take_no_part(ready):
     some = replace(
         ready, mirror=mirror, glass=glass, shapes=shapes, force=force, own=own, tool=tool
     )
-    found = predicted(some)
+    found = predict_errors(some)
     assert found.error.shape == (43,)
     assert found.typical == pytest.approx(0.005 / 0.289, rel=0.01)
     balance = noiseless(some).cycles[0].used_force @ arms_of(layout)[:, on].T * 0.9
@@ -379,7 +385,7 @@ def test_shapes_that_drown_in_the_noise_of_sensors_are_foretold(ready):
     strokes = np.abs(ready.shapes).max(axis=1)
     for border in (0.99 * strokes.min(), np.median(strokes)):
         sensors = replace(PLAN.sensors, noise=border / 60)  # six times that are a tenth of it
-        said = "\n".join(lines(outlook(ready.changed(replace(PLAN, sensors=sensors)))))
+        said = "\n".join(lines(predict_prepared(ready.changed(replace(PLAN, sensors=sensors)))))
         small = np.count_nonzero(strokes < border)
         assert (f"of {small} of 45 shapes a tenth is less than six times the noise" in said) == (
             small > 0
@@ -392,7 +398,7 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
     code, out, err = inside("plan", file, "--json", "--target", "0.005", "--plot", figure)
     assert (code, err) == (0, "")
     values = json.loads(out)
-    found = predicted(prepared(PLAN))
+    found = predict_errors(prepared(PLAN))
     assert values["typical_error"] == pytest.approx(found.typical)
     assert values["actuators"]["e_alpha"] == pytest.approx(found.error)
     reciprocity = values["reciprocity"]
@@ -403,7 +409,7 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
     assert values["largest_force"] < 0.6
     assert values["curves"]["cycles"]["cycles"] == [1, 2, 4, 8, 16, 32, 64]
     assert values["curves"]["added_factor"]["added_factor"][:4] == [0.25, 0.5, 1, 2]
-    assert [way["reached"] for way in values["ways"]] == [False, False, True, True, False]
+    assert [change["reached"] for change in values["ways"]] == [False, False, True, True, False]
     assert figure.read_bytes().startswith(b"\x89PNG")
     assert "exists already" in inside("plan", file, "--plot", figure)[2]
 
@@ -427,16 +433,16 @@ def test_a_free_scale_is_a_warning(inside, file):
 
 
 def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
-    found = outlook(ready)
-    first, second = plot_outlook(found, 0.005).figure.axes
+    found = predict_prepared(ready)
+    first, second = plot_plan(found, 0.005).figure.axes
     assert first.get_xlabel() == "cycles"
     assert second.get_xlabel() == "added weight (N)"
     total, dot = first.lines[0], first.lines[3]
     assert total.get_ydata() == pytest.approx(100 * found.against_cycles.error)
     assert dot.get_xydata().tolist() == [[4, pytest.approx(100 * found.prediction.typical)]]
     assert second.lines[3].get_xdata()[0] == pytest.approx(0.289)
-    bare = outlook(ready.changed(replace(PLAN, loads=LOADS[:1])))
-    assert len(plot_outlook(bare).figure.axes) == 1
+    bare = predict_prepared(ready.changed(replace(PLAN, loads=LOADS[:1])))
+    assert len(plot_plan(bare).figure.axes) == 1
 
 
 @pytest.mark.parametrize(

@@ -26,10 +26,10 @@ from studies.simulated_matrices import by_glass, drawn, hexagon, springs
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
 from truenewton.mirrors.known import mmt336, p45
-from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.modal.findings import find_modes
 from truenewton.planning.forces import prepared
-from truenewton.planning.outlook import predicted
+from truenewton.planning.plan_prediction import predict_errors
 
 Array = np.ndarray
 DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
@@ -202,7 +202,7 @@ def noisy_elements(layout: tn.Layout, k: Array, level: float = 2e-4) -> tn.Stiff
 def annuli(offset: float = 0.0, level: float = 2e-4) -> tn.StiffnessMatrix:
     """Return P45's matrix by its annular sensors, their rms offset from their magnets [m]."""
     values = drawn(np.random.default_rng(11), 45, 0.004, offset)
-    return noisy_elements(p45().layout, by_glass(held_glass(p45()), values), level)
+    return noisy_elements(p45().layout, by_glass(model_shell(p45()), values), level)
 
 
 @case("matrix, hexagon of 37")
@@ -272,7 +272,7 @@ def recalibration() -> tn.Calibration:
 @case("plan", fast=True)
 def plan() -> Result:
     loads = (tn.Load("bare"), tn.Load("ring", -0.289, 0.005, tool="ring"))
-    found = predicted(prepared(CampaignPlan("p45", loads)))
+    found = predict_errors(prepared(CampaignPlan("p45", loads)))
     sentences = tuple(f"{line.source}: {line.relative:.6g}" for line in found.scale_errors)
     columns = {
         "ALPHA": found.alpha,

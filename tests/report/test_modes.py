@@ -8,9 +8,8 @@ import pytest
 
 from helpers.balanced import p45_bench, p45_campaign
 from truenewton.bench.simulated.static import START
-from truenewton.modal import words
-from truenewton.modal.comparison import compare_modes
-from truenewton.modal.findings import find_modes
+from truenewton.modal import summary as words
+from truenewton.modal.findings import compare_modes, find_modes
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report import investigate as module

@@ -21,7 +21,7 @@ from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.records.file import SUFFIXES, cycle_name
 from truenewton.rounding import numbered
-from truenewton.statics.layout import MOST_ACTUATORS, Layout
+from truenewton.statics.layout import MAX_ACTUATORS, Layout
 from truenewton.statics.load import Load, check_load
 
 POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "limits.displacement",
@@ -206,7 +206,7 @@ class CampaignPlan:
         in_units(self, {"settling": "s", "pause": "s", "force_noise": "N"})
         for name, low, high in (
             ("cycles", 1, MAX_CYCLES), ("samples", 1, MAX_SAMPLES), ("turns", 0, MAX_TURNS),
-            ("segment", 0, MOST_ACTUATORS),
+            ("segment", 0, MAX_ACTUATORS),
         ):  # fmt: skip
             if not low <= getattr(self, name) <= high:
                 raise _wrong(name, getattr(self, name), f"give {low} to {high}")

@@ -13,7 +13,7 @@ from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass
+from truenewton.mirrors.shell.shell_model import ShellModel, model_shell
 from truenewton.records.cycle import LARGEST_DISPLACEMENT
 from truenewton.records.file import stiffness_from
 from truenewton.statics.layout import Layout
@@ -29,7 +29,7 @@ def shapes_and_forces(
     plan: CampaignPlan,
     mirror: Mirror,
     folder: str | os.PathLike[str] = ".",
-    glass: HeldGlass | None = None,
+    glass: ShellModel | None = None,
 ) -> tuple[Array, Array, bool]:
     """Return the shapes of a plan, and the forces that the electronics may be expected to command.
 
@@ -86,8 +86,8 @@ def _scaled(modes: Array, stiffness: Array, plan: CampaignPlan) -> Array:
     return scaled_modes(modes[: shapes.count or None], stiffness, shapes.stroke, shapes.force)
 
 
-def model_glass(mirror: Mirror) -> HeldGlass:
+def model_glass(mirror: Mirror) -> ShellModel:
     """Return the glass that a plan reckons with, held by the enabled actuators alone."""
     layout, on = mirror.layout, mirror.layout.enabled
     enabled = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
-    return held_glass(replace(mirror, layout=enabled))
+    return model_shell(replace(mirror, layout=enabled))

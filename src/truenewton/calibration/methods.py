@@ -206,7 +206,7 @@ def calibrate(
         Take the actuators for samples of one normal population of unknown spread: pulls what the
         data hardly hold toward the mean. With 'ml' only; the result names it.
     motion
-        (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
+        (6, n, n) what the sensors see of the glass, from `sensor_model`; or (n, n)
         displacements where forces act for those seen; of several segments, also {number: that of
         each}. With 'reciprocity' and 'auto' only.
     exclude

@@ -36,7 +36,7 @@ def run(
     from truenewton.figures.maps import plot_layout
     from truenewton.figures.writing import write_figure
     from truenewton.mirrors.file import whole_mirror_from
-    from truenewton.mirrors.known import KNOWN, MOST_ACTUATORS, ring
+    from truenewton.mirrors.known import KNOWN, MAX_RING_ACTUATORS, ring
     from truenewton.mirrors.segmented import SEGMENTED, SegmentedMirror
 
     if not mirror:
@@ -45,7 +45,7 @@ def run(
         every = [make() for make in KNOWN.values()]
         whole = [make() for make in SEGMENTED.values()]
         head = ("name", "actuators", "glass, mm", "thick, mm", "curvature, m", "weight, N")
-        rows = [_row(one) for one in (*every, ring(MOST_ACTUATORS))]
+        rows = [_row(one) for one in (*every, ring(MAX_RING_ACTUATORS))]
         title = "The known mirrors, and the last of the family ring4, ring5, ...:"
         rows_of_parts = [_row_of_part(one, *kind) for one in whole for kind in one.kinds]
         more = "`truenewton mirrors NAME` tells where the numbers come from."

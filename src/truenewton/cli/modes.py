@@ -15,7 +15,7 @@ from truenewton.cli import options
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
     from truenewton.calibration.segmented import SegmentedCalibration
-    from truenewton.modal.dissipation import Budget
+    from truenewton.modal.modal_base import Budget
 
 
 def run(
@@ -57,12 +57,12 @@ def run(
     """Find stiffness modes, and how many can be corrected within a power or a force."""
     from truenewton.cli.terminal import about, busy, print_result
     from truenewton.files.outputs import refuse_existing
-    from truenewton.modal.dissipation import Budget
     from truenewton.modal.file import modes_paths, numbered
     from truenewton.modal.findings import find_modes
+    from truenewton.modal.modal_base import Budget
     from truenewton.modal.segments import modes_of_segments
+    from truenewton.modal.summary import lines, segment_lines, segment_values, values
     from truenewton.modal.turbulence import Atmosphere
-    from truenewton.modal.words import lines, segment_lines, segment_values, values
     from truenewton.reading import of_segment, read_data
     from truenewton.records.segmented import SegmentedData
 

@@ -76,12 +76,12 @@ def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedDa
         return None
     from truenewton.mirrors.file import whole_mirror_from
     from truenewton.mirrors.segmented import SegmentedMirror
-    from truenewton.mirrors.sight import motion_by_segment, motion_for
+    from truenewton.mirrors.sensor_model import segment_sensor_models, sensor_model
 
     known = whole_mirror_from(mirror)
     if isinstance(known, SegmentedMirror) and data.layout.segments:
-        return motion_by_segment(known, data.layout)
-    return motion_for(known, data.layout)
+        return segment_sensor_models(known, data.layout)
+    return sensor_model(known, data.layout)
 
 
 def edges_of(mirror: str | None, layout: Layout) -> Sequence[Array]:
@@ -94,7 +94,7 @@ def edges_of(mirror: str | None, layout: Layout) -> Sequence[Array]:
     if mirror is None:
         return ()
     from truenewton.mirrors.file import whole_mirror_from
-    from truenewton.mirrors.sight import edges_for
+    from truenewton.mirrors.sensor_model import edges_for
 
     return edges_for(whole_mirror_from(mirror), layout)
 

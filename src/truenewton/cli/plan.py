@@ -40,21 +40,20 @@ def run(
     from truenewton.cli.terminal import busy, print_result
     from truenewton.figures.writing import write_figure
     from truenewton.files.outputs import refuse_existing
-    from truenewton.planning.figures import plot_outlook
-    from truenewton.planning.outlook import read_outlook
-    from truenewton.planning.target import ways_to
-    from truenewton.planning.words import lines, values, way_lines
+    from truenewton.planning.figures import plot_plan
+    from truenewton.planning.plan_prediction import predict_plan, suggest_changes
+    from truenewton.planning.summary import change_lines, lines, values
 
     refuse_existing(plot, overwrite=overwrite)
     with busy("planning"):
-        outlook = read_outlook(path)
-        missed = target is not None and outlook.prediction.typical > target
-        ways = ways_to(outlook.ready, target) if target is not None and missed else ()
+        outcome = predict_plan(path)
+        missed = target is not None and outcome.prediction.typical > target
+        changes = suggest_changes(outcome.ready, target) if target is not None and missed else ()
     if plot is not None:
-        write_figure(plot_outlook(outlook, target), plot, overwrite=overwrite)
-    said = (*lines(outlook), *way_lines(target, ways))
+        write_figure(plot_plan(outcome, target), plot, overwrite=overwrite)
+    said = (*lines(outcome), *change_lines(target, changes))
     drawn = () if plot is None else (plot,)
-    as_values = values(outlook, target, ways) if json else None
+    as_values = values(outcome, target, changes) if json else None
     print_result(said, *drawn, values=as_values, schema="plan", quiet=quiet)
 
 

@@ -27,6 +27,5 @@ those above it only:
     effects          what a bench does beside the model
     checks           whether a campaign is what it claims to be
     campaign_ml      `ml` on a campaign
-    prediction       errors of a campaign before a reading is taken
     reciprocity      alpha, sensor gains and offsets from a stiffness that must be symmetric
 """

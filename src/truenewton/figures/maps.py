@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.figures.style import COLOURS, CROWDED, FAINT, INK, MILLIMETRE, NAMED, styled_axes
 from truenewton.rounding import significant
-from truenewton.statics.groups import group_name, group_of, ring_centre, ring_of
-from truenewton.statics.layout import Layout
+from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
 
 NUMBER = 0.045  # of the mirror's radius: half the height of a segment's number, and some air
 LEAST_DOT = 0.02  # of the width of the mirror: the radius of a dot that holds three digits

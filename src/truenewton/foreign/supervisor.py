@@ -25,8 +25,7 @@ from truenewton.errors import FormatError
 from truenewton.foreign.choice import Places, places_in
 from truenewton.foreign.stored import Item, Stored, read_stored
 from truenewton.foreign.text import text_of
-from truenewton.statics.groups import ring_of
-from truenewton.statics.layout import Layout, layout
+from truenewton.statics.layout import Layout, layout, ring_of
 
 MATRIX, CHANNELS = "ff_matrix.fits", "ff_list.fits"
 NUMBERS, SHELL, POSITIONS = "act2mir_act.txt", "shell.txt", "act_coordinates.fits"

@@ -1,4 +1,4 @@
-"""What a mirror's glass must be to be simulated, held against its actuators, tool and weight."""
+"""Checks of a mirror before it is simulated: glass, outline, actuators, tool and weight."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Shell, check_shell
 from truenewton.mirrors.known import GRAVITY, Mirror
-from truenewton.mirrors.shell.finite_elements.meshing import mesh_size_of
+from truenewton.mirrors.shell.finite_elements.mesh import mesh_size_of
 from truenewton.mirrors.shell.finite_elements.outline import (
     check_mesh_size,
     checked_polygons,
     depth_inside,
 )
-from truenewton.mirrors.shell.held_glass import tool_wedges
-from truenewton.mirrors.shell.places import SMALLEST_HOLE
+from truenewton.mirrors.shell.round_shell import MIN_HOLE
+from truenewton.mirrors.shell.shell_model import tool_wedges
 from truenewton.rounding import counted
 
-OTHER_WEIGHT = 3.0  # and its inverse: so far may it be from glass and magnets, which vary
+MAX_WEIGHT_RATIO = 3.0  # and its inverse, to the weight of glass and magnets
 
 
 def _check_shell(mirror: Mirror) -> None:
     shell = mirror.shell
-    check_shell(shell, SMALLEST_HOLE if shell.outline is None and shell.inner_radius else 0.0)
+    check_shell(shell, MIN_HOLE if shell.outline is None and shell.inner_radius else 0.0)
 
 
 def check_outline(mirror: Mirror) -> None:
-    """Refuse polygons round which there is no glass, and corners that elements cannot follow."""
+    """Refuse polygons that do not bound a glass, and corners that elements cannot follow."""
     if mirror.shell.outline is not None:
         checked_polygons(mirror.shell.polygons())
 
 
 def _check_elements(mirror: Mirror) -> None:
-    """Refuse elements too small for an outline, and a radius that it does not stay within."""
+    """Refuse elements too small for an outline, and an outline beyond the outer radius."""
     shell, loops = mirror.shell, mirror.shell.polygons()
     if not loops:
         return
@@ -48,7 +48,7 @@ def _check_elements(mirror: Mirror) -> None:
 
 
 def check_actuators(mirror: Mirror) -> None:
-    """Refuse actuators that reach off the glass, with their puck or sensor."""
+    """Refuse actuators whose puck or sensor reaches off the glass."""
     places = np.stack(mirror.shell.along(mirror.layout.x, mirror.layout.y), axis=1)
     reach = max(mirror.puck_radius, mirror.sensor.outer_radius)
     off = _depth(mirror.shell, places) < reach
@@ -71,10 +71,10 @@ def _check_tool(mirror: Mirror) -> None:
 
 
 def _check_weight(mirror: Mirror) -> None:
-    """Refuse a weight that is a slip of the unit beside glass and magnets, or they beside it."""
+    """Refuse a weight far from that of glass and magnets: one of their units is wrong."""
     shell, magnets = mirror.shell, mirror.layout.n
     expected = -GRAVITY * (shell.mass + magnets * mirror.magnet_mass)
-    if not expected * OTHER_WEIGHT < mirror.weight < expected / OTHER_WEIGHT:
+    if not expected * MAX_WEIGHT_RATIO < mirror.weight < expected / MAX_WEIGHT_RATIO:
         raise GeometryError(
             f"weight is {mirror.weight:.4g} N, but glass of {1e3 * shell.thickness:.3g} mm and"
             f" {counted(magnets, 'magnet')} of {1e3 * mirror.magnet_mass:.3g} g weigh"
@@ -85,8 +85,7 @@ def _check_weight(mirror: Mirror) -> None:
         )
 
 
-# Each refuses with a GeometryError: a shell that cannot be, actuators or a tool off the glass, a
-# foreign weight.
+# Each raises a GeometryError.
 CHECKS = (_check_shell, check_outline, _check_elements, check_actuators, _check_tool,
           _check_weight)  # fmt: skip
 

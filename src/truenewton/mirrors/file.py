@@ -1,40 +1,197 @@
-"""Mirrors that someone else has: numbers from a TOML file, actuators from a table."""
+"""Mirrors from files: numbers from TOML, actuators and outlines from tables."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, GeometryError, located
+from truenewton.arrays import Array, in_units
+from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
+from truenewton.files.fits import read_fits
+from truenewton.files.format import Column, FileFormat, TableFormat
+from truenewton.files.opening import read_text
 from truenewton.files.toml import check_keys, filled, read_toml
 from truenewton.mirrors.checks import CHECKS, check_actuators, check_outline
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
-from truenewton.mirrors.tables import layout_in, outline_in
-from truenewton.records.file import SUFFIXES
+from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.records.segment import require_segment
-from truenewton.statics.layout import FARTHEST, Layout
+from truenewton.rounding import listed
+from truenewton.statics.layout import MAX_DISTANCE, Layout, layout
 
-MOST = 1e15  # of any number of a mirror, stiff glass included
-LEAST_ALPHA = 1e-3  # below and above its inverse the unit of force is wrong
+Made = TypeVar("Made")
+SIGNS = {"weight": -1, "added_weight": -1, "weight_error": 1, "added_weight_error": 1,
+         "magnet_mass": 1, "gap": 1, "vent_radius": 1, "tool_radius": 1}  # fmt: skip
+OUTLINE = FileFormat(
+    extensions=(
+        TableFormat(
+            "OUTLINE",
+            (
+                Column("X", "x", "m", finite=True),
+                Column("Y", "y", "m", finite=True),
+                Column("LOOP", "loop", kind="int", absent=0),
+            ),
+        ),
+    )
+)
+MAX_NUMBER = 1e15  # of a mirror; the modulus of stiff glass is smaller
+MIN_ALPHA = 1e-3  # and its inverse; beyond them the unit of force is wrong
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points of an outline, x and y (n,) [m]; loop (n,) 0 of the edge, 1, 2, ... of the holes."""
+
+    x: Array
+    y: Array
+    loop: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        in_units(self, {"x": "m", "y": "m"})
+
+
+def layout_in(path: Path) -> Layout:
+    """Return the actuators of a FITS file, or of a text table, by default in metres.
+
+    Its columns are X, Y and, optionally, ID, NZ, ENABLED.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, GeometryError
+    """
+    if str(path).endswith(SUFFIXES):
+        return read_layout(path)
+
+    def made(table: Any) -> Layout:
+        others = {"ID", "NZ", "ENABLED"} & set(table.colnames)
+        return layout(**{name.lower(): _cells(table, name) for name in ("X", "Y", *others)})
+
+    return _made_of(path, made, "actuators")
+
+
+def outline_in(path: Path) -> list[list[list[float]]]:
+    """Return the edge and the holes of a table of points: x and y of each [m], in their order.
+
+    It is the table OUTLINE of a FITS file, or a text table. Its columns are X, Y and, if there are
+    holes, LOOP: 0 for the edge, 1, 2, ... for the holes.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    if str(path).endswith(SUFFIXES):
+        file = read_fits(path)
+        points = file.filled(_Points, file.values(OUTLINE))
+    else:
+        points = _made_of(path, _points_of, "points")
+    loops = np.asarray(points.loop)
+    numbers = np.unique(loops)
+    if not np.array_equal(numbers, np.arange(numbers.size)) or not numbers.size:
+        raise FormatError(
+            f"LOOP holds {', '.join(map(str, numbers)) or 'nothing'}",
+            remedy="number the points of the edge 0, those of the holes 1, 2, ...",
+            path=path,
+        )
+    places = np.stack([points.x, points.y], axis=1)
+    return [places[loops == number].tolist() for number in numbers]
+
+
+def _points_of(table: Any) -> _Points:
+    loop = _cells(table, "LOOP") if "LOOP" in table.colnames else np.zeros(len(table), dtype=int)
+    return _Points(table["X"], table["Y"], loop)
+
+
+def _made_of(path: Path, make: Callable[[Any], Made], what: str) -> Made:
+    """Return the result of a function of a CSV or ECSV table; errors name the file."""
+    from astropy.table import QTable
+
+    form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
+    lines = read_text(path).splitlines()
+    numbers = [k for k, line in enumerate(lines, 1) if line.strip() and line[0] != "#"][1:]
+    try:
+        # astropy warns of overflows; the resulting values are refused below.
+        with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
+            table = QTable.read(lines, format=form, guess=False)
+            for name in "XY":
+                if name not in table.colnames:
+                    raise _lacking(name, table.colnames)
+                _check_numbers(table[name], name, numbers if len(numbers) == len(table) else None)
+            return make(table)
+    except TrueNewtonError as error:
+        raise located(error, path) from None
+    except Exception as error:
+        raise FormatError(
+            f"is not a table of {what} ({error})",
+            remedy="write columns X and Y as CSV or ECSV, lengths in metres",
+            path=path,
+        ) from error
+
+
+def _lacking(name: str, columns: Sequence[str]) -> FormatError:
+    has = listed([f"'{column}'" for column in columns], 4) if columns else "none"
+    return FormatError(
+        f"lacks column '{name}'; it has {has}",
+        remedy="name the columns X and Y in the first line, in metres, with commas between; or"
+        " name the FITS file that `truenewton import` makes of a matrix and positions as they are",
+    )
+
+
+def _check_numbers(cells: Any, name: str, lines: Sequence[int] | None) -> None:
+    """Refuse the first cell of a column that is not a finite number; name its line if known."""
+    empty = np.broadcast_to(getattr(cells, "mask", False), len(cells)).tolist()
+    for i, value in enumerate(np.asarray(cells).tolist()):
+        if empty[i] or not _is_finite(value):
+            where = f"row {i + 1}" if lines is None else f"line {lines[i]}"
+            raise FormatError(
+                f"{where}: {name} is {'empty' if empty[i] else repr(value)[:60]}",
+                remedy="give a number",
+            )
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return bool(np.isfinite(float(value)))
+    except ValueError:
+        return False
+
+
+def _cells(table: Any, name: str) -> Any:
+    """Return a column of a text table after checking its type."""
+    cells = table[name]
+    if np.any(getattr(cells, "mask", False)):
+        raise FormatError(f"{name} has empty cells", remedy="fill them")
+    if name in ("X", "Y"):
+        return cells
+    values = np.asarray(cells)
+    if name == "ENABLED" and values.dtype.kind in "SU":
+        values = np.char.lower(values)
+        known = {"true": True, "false": False}
+        values = np.array([known.get(str(text), 2) for text in values])
+    if name == "ENABLED" and not np.isin(values, (0, 1)).all():
+        raise FormatError("ENABLED holds other words", remedy="write true or false, or 1 or 0")
+    if name in ("ID", "LOOP") and values.dtype.kind not in "iu":
+        raise FormatError(f"{name} holds {values.dtype}", remedy="write integers")
+    return values
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Written(MirrorNumbers):
-    """A mirror as its file gives it, with the file of its actuators."""
+    """The content of the file of a mirror, with the file of its actuators."""
 
     actuators: str
 
 
 @dataclass(frozen=True)
 class _Placed:
-    """A segment as the file of its mirror gives it: the file of its own, and its place."""
+    """A segment in the file of a mirror: its own file, and its place."""
 
     file: str
     x: float
@@ -44,38 +201,53 @@ class _Placed:
 
 @dataclass(frozen=True)
 class _WrittenSegments:
-    """A mirror in segments as its file gives it."""
+    """The content of the file of a segmented mirror."""
 
     name: str
     segments: tuple[_Placed, ...]
 
 
 def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
-    """Return a mirror in one piece or in segments: known by its name, or of a TOML file.
+    """Return a mirror in one piece or in segments, by its name or from a TOML file.
 
     Raises
     ------
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
-    path = Path(name)
-    if str(name).lower() in SEGMENTED:
-        return SEGMENTED[str(name).lower()]()
-    if str(name).lower() not in KNOWN and path.suffix == ".toml" and path.exists():
-        tables = read_toml(path)
-        if "segments" in tables:
-            return _segments_in(tables, path)
-    return mirror_from(name)
+    path, known = Path(name), str(name).lower()
+    if known in SEGMENTED:
+        return SEGMENTED[known]()
+    if known in KNOWN or not (path.suffix == ".toml" or path.exists()):
+        return mirror(str(name))
+    if str(name).endswith(SUFFIXES):
+        raise FormatError(
+            "is a FITS file, which holds no glass",
+            remedy="give a known mirror, or a TOML file whose `actuators` names this one",
+            path=name,
+        )
+    tables = read_toml(path)
+    return (_segments_in if "segments" in tables else _mirror_in)(tables, path)
+
+
+def mirror_from(name: str | os.PathLike[str]) -> Mirror:
+    """Return a mirror in one piece by its name or from a TOML file (docs/simulated-bench.md).
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    whole = whole_mirror_from(name)
+    if isinstance(whole, SegmentedMirror):
+        raise FormatError(
+            f"'{name}' is a mirror in segments",
+            remedy="simulate, plan and --mirror take it, acquire and serve one segment of it,"
+            " --segment; for anything else give the file of one segment",
+        )
+    return whole
 
 
 def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Layout]:
-    """Return a segment of a mirror, and its actuators as the whole mirror names and places them.
-
-    Parameters
-    ----------
-    name
-        As of `whole_mirror_from`.
-    number
-        Of the segment, which has a frame and numbers of its own.
+    """Return a segment of a mirror in its own frame, and its actuators in that of the mirror.
 
     Raises
     ------
@@ -93,7 +265,7 @@ def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Lay
 def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
     written = filled(_WrittenSegments, tables, path)
     files = {placed.file for placed in written.segments}
-    # Read once, so that segments of one file are seen to share their glass.
+    # Segments of one file are one object, so that their shell is modelled once.
     made = {file: _segment_from(path.parent / file, path) for file in sorted(files)}
     try:
         return SegmentedMirror(
@@ -106,55 +278,30 @@ def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
 
 
 def _segment_from(file: Path, whole: Path) -> Mirror:
-    if "segments" in read_toml(file):
+    tables = read_toml(file)
+    if "segments" in tables:
         raise FormatError(
             f"takes {file.name} for a segment, which is a mirror in segments itself",
             remedy="name the files of its segments here",
             path=whole,
         )
-    return _mirror_in(file)
+    return _mirror_in(tables, file)
 
 
-def mirror_from(name: str | os.PathLike[str]) -> Mirror:
-    """Return a known mirror by its name, or the one of a TOML file (docs/simulated-bench.md).
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
-    path = Path(name)
-    if str(name).lower() in SEGMENTED:
-        raise _is_segmented(str(name))
-    if str(name).lower() in KNOWN or not (path.suffix == ".toml" or path.exists()):
-        return mirror(str(name))
-    if str(name).endswith(SUFFIXES):
-        raise FormatError(
-            "is a FITS file, which holds no glass",
-            remedy="give a known mirror, or a TOML file whose `actuators` names this one",
-            path=name,
-        )
-    return _mirror_in(path)
-
-
-def _mirror_in(path: Path) -> Mirror:
-    tables = read_toml(path)
-    if "segments" in tables:
-        raise _is_segmented(str(path))
+def _mirror_in(tables: dict[str, Any], path: Path) -> Mirror:
     tables, points = _with_points(tables, path)
     written = _within_reach(filled(_Written, tables, path), points)
     _refuse_absurd(written, path)
-    for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
-                      ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0),
-                      ("vent_radius", 0.0), ("tool_radius", 0.0)):  # fmt: skip
-        value, high = getattr(written, name) or 0.0, 0.0 if low < 0 else np.inf
-        if not low <= value <= high or np.isinf(value):
+    for name, sign in SIGNS.items():
+        value = getattr(written, name) or 0.0
+        if not 0.0 <= sign * value < np.inf:
             raise FormatError(
                 f"{name} is {value:g}",
                 remedy="weights are negative (z points up), the rest is not",
                 path=path,
             )
     low, high = written.alpha_range
-    if not LEAST_ALPHA <= low <= high <= 1.0 / LEAST_ALPHA:
+    if not MIN_ALPHA <= low <= high <= 1.0 / MIN_ALPHA:
         raise FormatError(
             f"alpha_range is {list(written.alpha_range)}",
             remedy="give the lowest and highest alpha, positive and near 1",
@@ -179,18 +326,10 @@ def _mirror_in(path: Path) -> Mirror:
     return made
 
 
-def _is_segmented(name: str) -> FormatError:
-    return FormatError(
-        f"'{name}' is a mirror in segments",
-        remedy="simulate, plan and --mirror take it, acquire and serve one segment of it,"
-        " --segment; for anything else give the file of one segment",
-    )
-
-
 def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Path]:
-    """Return the tables of a mirror and the file in which its outline stands.
+    """Return the tables of a mirror with the points of its outline, and the file of these.
 
-    Points are read from the file that the outline names; radii may be left out beside it.
+    With an outline, radii are optional.
     """
     shell = tables.get("shell")
     if not isinstance(shell, dict) or not isinstance(shell.get("outline"), dict):
@@ -214,7 +353,7 @@ def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Pa
 
 
 def _within_reach(written: _Written, points: Path) -> _Written:
-    """Return a mirror with the outer radius that its outline reaches, where it gives none."""
+    """Return a mirror with the outer radius of its outline, if it has none of its own."""
     shell = written.shell
     if shell.outline is None:
         return written
@@ -231,7 +370,7 @@ def _within_reach(written: _Written, points: Path) -> _Written:
 def _check_reach(outline: Outline) -> None:
     loops = outline.edge, *outline.holes
     furthest = max((abs(part) for loop in loops for at in loop for part in at), default=0.0)
-    if furthest > FARTHEST:
+    if furthest > MAX_DISTANCE:
         raise GeometryError(
             f"the outline reaches {furthest:.3g} m from the axis",
             remedy="x and y are metres; check their unit",
@@ -239,23 +378,23 @@ def _check_reach(outline: Outline) -> None:
 
 
 def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
-    """Refuse numbers that are a slip of the unit in any mirror, their squares to stay numbers."""
+    """Refuse numbers that can only be wrong units, and whose squares would overflow."""
     for field in fields(written):
         value = getattr(written, field.name)
         if is_dataclass(value):
             _refuse_absurd(value, path, f"{inside}{field.name}.")
         sizes = np.abs(list(_numbers(value)))
         flat = field.default == np.inf and value == np.inf  # no radius of curvature
-        if not (flat or (sizes <= MOST).all()):
+        if not (flat or (sizes <= MAX_NUMBER).all()):
             raise FormatError(
                 f"{inside}{field.name} is {value}",
-                remedy=f"check its unit; numbers are in SI units, up to {MOST:g}",
+                remedy=f"check its unit; numbers are in SI units, up to {MAX_NUMBER:g}",
                 path=path,
             )
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """Yield the numbers in tuples of tuples, as long as they like."""
+    """Yield the numbers in nested tuples."""
     if isinstance(value, tuple):
         for part in value:
             yield from _numbers(part)

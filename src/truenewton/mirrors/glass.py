@@ -13,6 +13,11 @@ import numpy as np
 from truenewton.arrays import Array, in_units
 from truenewton.errors import GeometryError
 
+MIN_THICKNESS = 1e-6  # [m]
+MIN_THICKNESS_RATIO = 1e-4  # to the outer radius; large shells have 1.6e-3
+SHELL_UNITS = {"inner_radius": "m", "outer_radius": "m", "thickness": "m", "young_modulus": "Pa",
+               "poisson_ratio": "", "density": "kg/m3", "radius_of_curvature": "m"}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Annulus:
@@ -23,12 +28,12 @@ class Annulus:
     Attributes
     ----------
     inner_radius, outer_radius
-        From the axis of the actuator [m]; equal, they make a circle.
+        From the axis of the actuator [m]; a circle if they are equal.
 
     Raises
     ------
     GeometryError
-        Radii that make neither.
+        Invalid radii.
     """
 
     inner_radius: float = 8e-3
@@ -44,33 +49,28 @@ class Annulus:
             )
 
 
-THINNEST = 1e-6  # [m]
-THINNEST_PART = 1e-4  # of the outer radius; large shells have 1.6e-3
-
-
 def rim(puck_radius: float) -> Annulus | None:
-    """Return the circle on which a puck presses; None of a point."""
+    """Return the circle on which a puck presses; None for a point."""
     return Annulus(puck_radius, puck_radius) if puck_radius else None
 
 
-SHELL_UNITS = {"inner_radius": "m", "outer_radius": "m", "thickness": "m", "young_modulus": "Pa",
-               "poisson_ratio": "", "density": "kg/m3", "radius_of_curvature": "m"}  # fmt: skip
 Polygon = tuple[tuple[float, float], ...]
+Points = tuple[Array, Array]  # x and y along the glass [m]
 
 
 @dataclass(frozen=True)
 class Outline:
-    """Polygons around a glass that is no ring, as they are seen along the axis.
+    """Polygons around a glass that is not a ring, as seen along the axis.
 
     Attributes
     ----------
     edge
-        x and y of each vertex around the glass [m], convex or not, either way round.
+        x and y of each vertex [m], in either direction, convex or not.
     holes
-        Polygons, as the edge, where there is no glass.
+        Polygons of the holes.
     mesh_size
-        Length of the sides of the finite elements [m]; a third of the actuators' spacing where it
-        is not given.
+        Length of the sides of the finite elements [m]; by default a third of the spacing of the
+        actuators.
     """
 
     edge: Polygon
@@ -80,14 +80,14 @@ class Outline:
 
 @dataclass(frozen=True)
 class Shell:
-    """The glass: a thin annulus or disc of even thickness, flat or spherical, or of any outline.
+    """The glass: a thin annulus, disc or any outline of even thickness, flat or spherical.
 
     Attributes
     ----------
     inner_radius, outer_radius, thickness
-        Dimensions [m]; radii along the glass, arcs on a sphere; an inner radius of 0 makes a full
-        disc. Where there is an outline, of a circle just outside which a weight tool stands unless
-        its radius is given, and of one that the glass stays within.
+        Dimensions [m]; radii are arcs on a sphere; an inner radius of 0 makes a full disc. With an
+        outline, the weight tool stands just outside the inner radius unless its radius is given,
+        and the glass is within the outer radius.
     young_modulus
         E [Pa]; Zerodur 90.3 GPa [conf].
     poisson_ratio
@@ -95,12 +95,12 @@ class Shell:
     density
         [kg/m3]; Zerodur 2530 [conf].
     radius_of_curvature
-        R [m]; positive of a concave optical surface, negative of a convex one. On a mirror that
-        hangs under its plate, as P45 does, that surface looks down, so that a concave glass is
-        hollow toward -z. Infinite on a flat mirror. Normal forces and displacements know no
-        difference between concave and convex.
+        R [m]; positive for a concave optical surface, negative for a convex one, infinite for a
+        flat one. On a mirror that hangs under its plate, such as P45, that surface faces down, so
+        that a concave glass is hollow toward -z. Normal forces and displacements do not depend on
+        the sign.
     outline
-        None of an annulus.
+        None for an annulus.
     """
 
     inner_radius: float
@@ -157,8 +157,8 @@ class Shell:
     def along(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return (n,) positions along the glass [m], R asin(r / R) from the axis, of (n,) x and y.
 
-        Layouts give what the balance needs, the distance from the axis; the model of the shell
-        wants the way along the glass. On a flat shell they are the same.
+        The balance needs the distance from the axis, as in a layout; the model of the shell needs
+        the arc length. On a flat shell they are equal.
 
         Raises
         ------
@@ -177,9 +177,9 @@ class Shell:
 
 
 def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
-    """Refuse radii, thickness, material and curvature that no shell can have.
+    """Refuse invalid radii, thickness, material and curvature.
 
-    The smallest hole is the least inner radius, in outer radii.
+    The smallest hole is the minimum of the inner radius, in outer radii.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
             " thousandth at least",
             got=(a, b),
         )
-    if not max(THINNEST, THINNEST_PART * b) <= shell.thickness <= b:
+    if not max(MIN_THICKNESS, MIN_THICKNESS_RATIO * b) <= shell.thickness <= b:
         raise GeometryError(
             f"thickness is {shell.thickness:.6g} m, of a glass that reaches to {b:.6g} m",
             remedy="give metres: 1.6 mm are 1.6e-3",

@@ -2,7 +2,7 @@
 
 Standing of a number: [paper] Ricci et al. 2008; [conf] published configuration files of the LBT
 and Magellan adaptive secondaries; [lit] other publications; [derived] computed; [guess] an
-engineering value nobody vouches for.
+engineering value without a source.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.statics.layout import Layout, spherical_rings
 
 GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
-MOST_ACTUATORS = 5352
+MAX_RING_ACTUATORS = 5352
 MIRROR_UNITS = {"weight": "N", "weight_error": "N", "added_weight": "N", "added_weight_error": "N",
                 "bias_force": "N", "magnet_mass": "kg", "alpha_range": "", "gap": "m",
                 "puck_radius": "m", "vent_radius": "m", "tool_radius": "m", "coil_gradient": "1/m",
@@ -28,36 +28,36 @@ MIRROR_UNITS = {"weight": "N", "weight_error": "N", "added_weight": "N", "added_
 
 @dataclass(frozen=True, kw_only=True)
 class MirrorNumbers:
-    """What is known of a mirror before it is measured, beside where its actuators stand.
+    """The numbers of a mirror before it is measured, without its layout.
 
     Attributes
     ----------
     name
-        As in INSTRUME.
+        The keyword INSTRUME.
     shell
         The glass.
     weight, weight_error
-        P and its standard uncertainty [N]; negative, z points up.
+        P and its standard uncertainty [N]; negative, since z points up.
     added_weight, added_weight_error
         Q of the weight tool and its standard uncertainty [N].
     bias_force
         Force of one bias magnet on the shell [N].
     magnet_mass
-        Magnet with its puck [kg].
+        Of a magnet with its puck [kg].
     alpha_range
-        Lowest and highest true Newton / commanded Newton that the simulation draws.
+        Range of true Newton / commanded Newton in the simulation.
     gap
         Nominal distance from the reference plate [m].
     puck_radius
         Of the circle on which a magnet's puck pushes the glass [m].
     vent_radius
-        Of a bore in the reference plate behind each actuator, open to the air [m]; 0 for none, so
-        that the air film is squeezed out at the edges of the glass alone.
+        Of a bore in the reference plate behind each actuator, open to the air [m]; 0 for none:
+        the air film is squeezed out at the edges of the glass only.
     sensor
-        Over which a reading is the mean displacement.
+        A reading is the mean displacement over it.
     tool_radius
-        Of the circle on which the three wedges of the weight tool stand [m]; None for one just
-        outside the inner radius of the shell, or, where that is 0, half the outer one.
+        Of the circle of the three wedges of the weight tool [m]; by default just outside the inner
+        radius of the shell, or half the outer one if the inner one is 0.
     coil_gradient
         COILGRAD, relative change of a coil's force per displacement along +z [1/m].
     bias_gradient
@@ -87,12 +87,12 @@ class MirrorNumbers:
 
 @dataclass(frozen=True, kw_only=True)
 class Mirror(MirrorNumbers):
-    """What is known of a mirror before it is measured: its numbers and its actuators.
+    """A mirror before it is measured: its numbers and its actuators.
 
     Attributes
     ----------
     layout
-        The actuators; all else as of `MirrorNumbers`.
+        The actuators; for other attributes see `MirrorNumbers`.
 
     Examples
     --------
@@ -104,7 +104,7 @@ class Mirror(MirrorNumbers):
     layout: Layout
 
 
-# What the mirrors share: magnets and coils of the LBT [conf], weights [guess].
+# Common numbers: magnets and coils of the LBT [conf], weights [guess].
 SHARED: dict[str, Any] = {
     "weight_error": 0.02,
     "added_weight": -0.5,
@@ -112,12 +112,12 @@ SHARED: dict[str, Any] = {
     "bias_force": 0.097,
     "coil_gradient": 600.0,
     "bias_gradient": 31.0,
-    "vent_radius": 3.5e-3,  # so that the softest modes find 60 N s/m an actuator at 68 um [guess]
+    "vent_radius": 3.5e-3,  # 60 N s/m per actuator for the softest modes at 68 um [guess]
 }
 
 
 def _mirror(name: str, layout: Layout, shell: Shell, **own: Any) -> Mirror:
-    """Return a mirror with the shared numbers and its own; of the weight of shell and magnets."""
+    """Return a mirror with the common numbers, its own, and the weight of shell and magnets."""
     magnets = MirrorNumbers.magnet_mass * layout.n
     weight = -round((shell.mass + magnets) * GRAVITY, 2)
     return Mirror(name=name, layout=layout, shell=shell, **{"weight": weight, **SHARED, **own})
@@ -223,12 +223,11 @@ def mmt336() -> Mirror:
 
 
 def ring(actuators: int) -> Mirror:
-    """Return a member of the family ring4 ... ring5352: rings of 9 + 6k, 30.3 mm apart.
+    """Return one of the mirrors ring4 ... ring5352: rings of 9 + 6k actuators, 30.3 mm apart.
 
-    The rings, glass and magnets of LBT672 carried on to any number of actuators, the outermost ring
-    with what is left over; the radius of curvature grows with the mirror beyond LBT672, so that its
-    edge is as steep; a tool of a tenth of the weight, up to 0.5 N [guess, all that LBT672 does not
-    vouch for].
+    The rings, glass and magnets of LBT672 for any number of actuators; the outermost ring may have
+    fewer. Beyond LBT672 the radius of curvature grows with the mirror, so that its edge is as
+    steep. The tool has a tenth of the weight, up to 0.5 N [guess, except the numbers of LBT672].
 
     Parameters
     ----------
@@ -238,17 +237,17 @@ def ring(actuators: int) -> Mirror:
     Raises
     ------
     UnknownName
-        There is no such member.
+        There is no such mirror.
 
     Examples
     --------
     >>> tn.mirrors.ring(1170).name
     'RING1170'
     """
-    if not 4 <= actuators <= MOST_ACTUATORS:
+    if not 4 <= actuators <= MAX_RING_ACTUATORS:
         raise UnknownName(
             f"there is no mirror of {actuators} rings of actuators",
-            remedy=f"give ring4 to ring{MOST_ACTUATORS}",
+            remedy=f"give ring4 to ring{MAX_RING_ACTUATORS}",
             got=actuators,
         )
     counts: list[int] = []
@@ -274,7 +273,7 @@ KNOWN = {make.__name__: make for make in (p45, mmt336, mag585, lbt672)}
 
 
 def mirror(name: str) -> Mirror:
-    """Return the mirror called ``name``; case does not count.
+    """Return the mirror with this name, in any case.
 
     Parameters
     ----------
@@ -284,7 +283,7 @@ def mirror(name: str) -> Mirror:
     Raises
     ------
     UnknownName
-        No mirror is called so.
+        There is no such mirror.
 
     Examples
     --------
@@ -298,7 +297,7 @@ def mirror(name: str) -> Mirror:
         return ring(int(known[4:]))
     raise UnknownName(
         f"no mirror is called '{name}'",
-        remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MOST_ACTUATORS},"
+        remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MAX_RING_ACTUATORS},"
         " in segments m4 and gmt;"
         " or give a file",
         got=name,

@@ -1,7 +1,7 @@
 """Mirrors of several segments: each a mirror in one piece, at its place.
 
 Standing of a number as in `known`: [lit] publications, [derived] computed, [assumed] an engineering
-value that nobody vouches for.
+value without a source.
 """
 
 from __future__ import annotations
@@ -16,24 +16,27 @@ from truenewton.arrays import Array, in_units
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline, Polygon, Shell
 from truenewton.mirrors.known import GRAVITY, SHARED, Mirror, MirrorNumbers
-from truenewton.mirrors.shell.finite_elements.outline import depth_inside, sides_of
+from truenewton.mirrors.shell.finite_elements.outline import depth_inside, polygon_of, sides_of
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, layout, rings
 
-TOUCHING = 1e-3  # in radii of a segment, as far as rounded corners of neighbours overlap
-POINTS_OF_SIDE = 16  # so close, segments are seen to overlap
+MAX_OVERLAP = 1e-3  # in radii of a segment: rounded corners of neighbours overlap by less
+POINTS_PER_SIDE = 16  # that are checked for overlap
+PETAL_INNER, PETAL_OUTER, PETAL_AT = 0.27, 1.2, 0.8  # [m]
+PETAL_LATTICE, PETAL_SHIFT = 29.8e-3, 0.3  # [m], and in units of it
+GMT_SPACING = 35.1e-3  # [m]
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where the frame of a segment lies in that of the mirror.
+    """The frame of a segment in that of the mirror.
 
     Attributes
     ----------
     x, y
-        Of its origin [m].
+        Its origin [m].
     turned
-        Counter-clockwise [deg].
+        Its rotation, counter-clockwise [deg].
     """
 
     x: float
@@ -45,29 +48,29 @@ class Place:
 
     @property
     def motion(self) -> Array:
-        """(3, 3) T, from 1, x, y of the segment to those of the mirror; arms and moments alike."""
+        """(3, 3) T, from 1, x, y of the segment to those of the mirror, also for moments."""
         c, s = np.cos(np.radians(self.turned)), np.sin(np.radians(self.turned))
         return np.array([[1.0, 0.0, 0.0], [self.x, c, -s], [self.y, s, c]])
 
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentedMirror:
-    """A mirror whose segments are bodies of their own, numbered from 1.
+    """A mirror whose segments are separate bodies, numbered from 1.
 
     Attributes
     ----------
     name
-        As in INSTRUME.
+        The keyword INSTRUME.
     segments
-        Each as a mirror in one piece, in a frame of its own.
+        Mirrors in one piece, each in its own frame.
     places
-        Of these frames.
+        The frames.
 
     Raises
     ------
     GeometryError
-        Fewer than two segments, forces that do not point along +z, gradients or gaps that differ,
-        segments that overlap.
+        Fewer than two segments, forces that do not point along +z, different gradients or gaps,
+        overlapping segments.
     """
 
     name: str
@@ -93,31 +96,24 @@ class SegmentedMirror:
                         f"{name} of {segment.name} is not that of {self.segments[0].name}",
                         remedy="give all segments the same: a cycle file holds one",
                     )
-        self.layout  # noqa: B018  refuses places that cannot be
+        self.layout  # noqa: B018  checks the places
         self._refuse_overlaps()
 
     def _refuse_overlaps(self) -> None:
-        """Refuse two segments of which one has points of the edge or actuators on the other."""
-        loops = [
-            [_moved(edge, place) for edge in segment.shell.seen_edges()]
-            for place, segment in zip(self.places, self.segments, strict=True)
-        ]
-        middle = np.array([(place.x, place.y) for place in self.places])
-        reach = np.array(
-            [
-                np.hypot(*(np.concatenate(own) - at).T).max()
-                for own, at in zip(loops, middle, strict=True)
-            ]
-        )
-        apart = np.hypot(*np.moveaxis(middle[:, None] - middle, -1, 0))
+        """Refuse segments with points of the edge or actuators on another segment."""
+        import shapely
+
+        loops = [self.seen_edges([k]) for k in range(1, len(self.segments) + 1)]
+        tree = shapely.STRtree([polygon_of(edges) for edges in loops])
         at, number = np.stack([self.layout.x, self.layout.y], axis=1), self.layout.segment
-        for i, j in np.argwhere(apart < reach[:, None] + reach).tolist():
+        reach = [np.hypot(*(np.concatenate(edges) - (place.x, place.y)).T).max()
+                 for edges, place in zip(loops, self.places, strict=True)]  # fmt: skip
+        for i, j in tree.query(tree.geometries, predicate="intersects").T.tolist():
             if i == j:
                 continue
-            touching = TOUCHING * min(reach[i], reach[j])
             points = np.concatenate([_along_edges(loops[i]), at[number == i + 1]])
             depth = float(depth_inside(loops[j], points).max())
-            if depth > touching:
+            if depth > MAX_OVERLAP * min(reach[i], reach[j]):
                 one, other = sorted((i, j))
                 raise GeometryError(
                     f"segments {one + 1} ({self.segments[one].name}) and {other + 1}"
@@ -127,7 +123,7 @@ class SegmentedMirror:
 
     @property
     def kinds(self) -> list[tuple[Mirror, list[int]]]:
-        """The segments that differ, each with the numbers of all that are the same record."""
+        """The different segments, each with the numbers of all that are the same object."""
         numbers: dict[int, list[int]] = {}
         for k, segment in enumerate(self.segments, 1):
             numbers.setdefault(id(segment), []).append(k)
@@ -135,7 +131,7 @@ class SegmentedMirror:
 
     @property
     def layout(self) -> Layout:
-        """All actuators in the frame of the mirror, named from 1, segment after segment."""
+        """All actuators in the frame of the mirror, named from 1 in the order of the segments."""
         parts = [segment.layout for segment in self.segments]
         counts = [part.n for part in parts]
         at = [
@@ -151,7 +147,7 @@ class SegmentedMirror:
         )
 
     def seen_edges(self, numbers: Iterable[int] = ()) -> list[Array]:
-        """Return the edges of some segments, or all, as seen along the axis, (vertices, 2) [m]."""
+        """Return the edges of some segments, or of all, seen along the axis, (vertices, 2) [m]."""
         wanted = [k - 1 for k in numbers] or range(len(self.segments))
         return [
             _moved(edge, self.places[k])
@@ -166,8 +162,8 @@ def _moved(points: Array, place: Place) -> Array:
 
 
 def _along_edges(loops: list[Array]) -> Array:
-    """Return (n, 2) points along polygons, their corners among them."""
-    part = np.linspace(0.0, 1.0, POINTS_OF_SIDE, endpoint=False)[:, None, None]
+    """Return (n, 2) points along polygons, including their corners."""
+    part = np.linspace(0.0, 1.0, POINTS_PER_SIDE, endpoint=False)[:, None, None]
     start, end = sides_of(loops)
     return np.asarray((start + part * (end - start)).reshape(-1, 2))
 
@@ -214,9 +210,6 @@ def gmt() -> SegmentedMirror:
 
 
 SEGMENTED = {make.__name__: make for make in (m4, gmt)}
-PETAL_INNER, PETAL_OUTER, PETAL_AT = 0.27, 1.2, 0.8  # [m]
-PETAL_LATTICE, PETAL_SHIFT = 29.8e-3, 0.3  # [m], and in units of it
-GMT_SPACING = 35.1e-3  # [m]
 
 
 @cache

@@ -1,20 +1,13 @@
 """Stiffness modes, turbulence and dissipation: the modal base of the optical loop.
 
 measured_stiffness  commanded force per reading, by regression over the rows of a campaign
-shape_products      the sums over shapes that it needs
-actuator_roles      who is commanded, off or slaved; alpha and gains matched to them
-true_stiffness      true Newtons per true displacement, statics put to use
-static_force        what turbulence does not change: weight, bias, what holds the mirror flat
-turbulence          the wavefront that the atmosphere sends
-zernikes            Zernike polynomials as Noll orders them
-pupil               where the mirror lies in the telescope's pupil
+true_stiffness      true Newtons per true displacement; actuators off or slaved; static forces
 bases               Zernike's and Karhunen and Loeve's bases on the actuators
-modal_base          stiffness modes, and what turbulence costs on three bases
-dissipation         what the first N modes leave of the turbulence, and what they cost
-comparison          how two sets of modes differ
-findings            modal bases before and after calibration: the result
+turbulence          the wavefront of the atmosphere, in the pupil and on the mirror
+modal_base          residual wavefront, forces and powers of the first N modes
+findings            modal bases before and after calibration, and how they differ
 segments            modes of a mirror in several segments, side by side
 file                the modal base in files (docs/files.md)
 figures             modes on the mirror, residual, power
-words               in words and numbers: terminal, page, script
+summary             text for terminal and page, values for scripts
 """

@@ -1,34 +1,107 @@
-"""Modal bases on the actuators: Zernike's and Karhunen and Loeve's, beside the stiffness modes."""
+"""Modal bases on the actuators: Zernike polynomials, and the modes of Karhunen and Loeve."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.linalg import eigenvectors, rearranged
-from truenewton.modal.zernikes import zernike
+from truenewton.linalg import ROWS_AT_ONCE, eigenvectors, rearranged
 from truenewton.statics.modes import settled
 
-NEWNESS = 0.1  # rms that a Zernike must add; with less, rounding grows from mode to mode
+MIN_NEW_RMS = 0.1  # that a Zernike must add; with less, rounding grows from mode to mode
 BLOCK = 64  # columns orthogonalised together
-LOTS = 8  # Zernikes tried, in units of the number of actuators
+MAX_TRIED = 8  # Zernikes, in units of the number of actuators
+
+
+def noll_orders(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return (count,) radial orders n and azimuthal orders m of Noll's j = 1 .. count."""
+    j = np.arange(1, count + 1)
+    n = (np.sqrt(8 * j - 7).astype(np.int64) - 1) // 2
+    within = j - 1 - n * (n + 1) // 2  # the radial order
+    odd = n % 2
+    return n, 2 * ((within + 1 - odd) // 2) + odd
+
+
+def zernike(count: int, x: Array, y: Array, *, without: int = 0) -> Array:
+    """Return the (p, count) values of Noll's Zernike polynomials j = 1 .. count, one a column.
+
+    They are orthonormal over the unit disc.
+
+    Parameters
+    ----------
+    count
+        Number of the last one.
+    x, y
+        (p,) points in units of the radius of the pupil.
+    without
+        Number of first ones to omit.
+
+    Notes
+    -----
+    Noll 1976 (JOSA 66, 207), eqs. 1 and 2: even j is a cosine, odd j a sine. The radial polynomial
+    is rho^m P_k^(0, m)(2 rho^2 - 1), k = (n - m) / 2, so that
+
+        Z_j = sqrt(2 (n + 1)) P_k^(0, m)(2 rho^2 - 1) Re or Im (x + i y)^m,
+
+    without the factor sqrt(2) for m = 0. The recurrence of Jacobi's P (DLMF 18.9.2) for all m at
+    once is stable: it has no large terms of alternating sign.
+    """
+    n, m = (orders[without:] for orders in noll_orders(count))
+    sine = (m > 0) & (np.arange(without + 1, count + 1) % 2 == 1)
+    scale = np.sqrt((n + 1) * np.where(m > 0, 2, 1))
+    points = np.asarray(x) + 1j * np.asarray(y)
+    Z = np.empty((len(points), count - without))
+    for start in range(0, len(points), ROWS_AT_ONCE):
+        some = slice(start, start + ROWS_AT_ONCE)
+        _fill(Z[some], points[some], m, (n - m) // 2, sine)
+    Z *= scale
+    return Z
+
+
+def _fill(
+    Z: Array, points: NDArray[np.complex128], m: NDArray[np.int64], k: NDArray[np.int64],
+    sine: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Put rho^m P_k^(0, m)(2 rho^2 - 1) times cosine or sine of m theta, at (p,) points, into Z."""
+    top = int(m.max())
+    power = np.vander(points, top + 1, increasing=True)
+    t = (2 * (points.real**2 + points.imag**2) - 1)[:, None]
+    below: Array = np.zeros((len(power), top + 1))
+    P: Array = np.ones((len(power), top + 1))
+    for degree in range(int(k.max()) + 1):
+        if degree:
+            b = np.arange(max(int(m[k >= degree].max()), 0) + 1.0)
+            P, below = _next(P[:, : len(b)], below[:, : len(b)], degree, b, t), P
+        for part, of_part in ((power.real, ~sine), (power.imag, sine)):
+            here = np.flatnonzero((k == degree) & of_part)
+            Z[:, here] = P[:, m[here]] * part[:, m[here]]
+
+
+def _next(P: Array, below: Array, k: int, b: Array, t: Array) -> Array:
+    """Return P_k^(0, b)(t) from those of degrees k - 1 and k - 2, one column for each b."""
+    if k == 1:  # where the recurrence divides by zero for b = 0
+        return np.asarray(1 + (b + 2) * (t - 1) / 2)
+    c = 2 * k + b
+    rise = (c - 1) * (c * (c - 2) * t - b**2) * P - 2 * (k - 1) * (k + b - 1) * c * below
+    return np.asarray(rise / (2 * k * (k + b) * (c - 2)))
 
 
 def zernike_modes(x: Array, y: Array) -> Array:
-    """Return (n, n) orthonormal modes, a column each, that Noll's Zernikes span in their order.
+    """Return (n, n) orthonormal modes, one a column, from Noll's Zernikes in their order.
 
-    Each mode is what a Zernike adds to those before it, of unit length and with the sign of its
-    Zernike; the first is piston. On n points only n Zernikes are independent, and hardly ever the
-    first n: over a ring of six, cos 6 theta is a constant. So one that adds less than NEWNESS root
-    mean square (a whole Zernike has 1) is passed over, and a later one takes its place.
+    Each mode is the part of a Zernike orthogonal to those before it, of unit length and with the
+    sign of its Zernike; the first is piston. On n points only n Zernikes are independent, usually
+    not the first n: over a ring of six, cos 6 theta is a constant. So a Zernike that adds less than
+    `MIN_NEW_RMS` (a whole one has 1) is omitted.
 
     Parameters
     ----------
     x, y
-        (n,) actuators in units of the pupil's radius.
+        (n,) actuators in units of the radius of the pupil.
 
     Raises
     ------
@@ -48,7 +121,7 @@ def zernike_modes(x: Array, y: Array) -> Array:
         for candidate in left.T:
             new = _less(candidate, modes[:, first:count])
             length = np.linalg.norm(new)
-            if length > NEWNESS * np.sqrt(n):
+            if length > MIN_NEW_RMS * np.sqrt(n):
                 modes[:, count] = new / length
                 count += 1
                 if count == n:
@@ -62,8 +135,8 @@ def zernike_modes(x: Array, y: Array) -> Array:
 
 
 def _zernikes(x: Array, y: Array) -> Iterator[Array]:
-    """Yield Zernikes in their order, (n, BLOCK) at a time; few more are in memory."""
-    most = LOTS * len(x)
+    """Yield Zernikes in their order, (n, BLOCK) at a time, to bound the memory."""
+    most = MAX_TRIED * len(x)
     lot = BLOCK * max(len(x) // (4 * BLOCK), 1)
     for tried in range(0, most, lot):
         candidates = zernike(min(tried + lot, most), x, y, without=tried)
@@ -72,22 +145,22 @@ def _zernikes(x: Array, y: Array) -> Iterator[Array]:
 
 
 def _less(vectors: Array, modes: Array) -> Array:
-    """Return vectors less their parts along orthonormal modes; twice, for what rounding leaves."""
+    """Return vectors less their parts along orthonormal modes, twice because of rounding."""
     for _ in range(2):
         vectors = vectors - modes @ (modes.T @ vectors)
     return vectors
 
 
 def karhunen_loeve_modes(covariance: Array) -> Array:
-    """Return (n, n) orthonormal modes, one a column: piston, then by falling variance.
+    """Return (n, n) orthonormal modes, one a column: piston, then by decreasing variance.
 
-    These are the eigenvectors of an (n, n) covariance whose rows have no mean, as
-    `wavefront_covariance` gives it; in equals, and in sign, the same on every machine.
+    They are the eigenvectors of the covariance; signs, and bases of equal eigenvalues, do not
+    depend on rounding.
 
     Parameters
     ----------
     covariance
-        (n, n) [m^2], the mean of each row 0.
+        (n, n) `wavefront_covariance` [m^2], the mean of each row 0.
 
     Examples
     --------
@@ -100,9 +173,9 @@ def karhunen_loeve_modes(covariance: Array) -> Array:
 
 
 def overwritten_by_modes(covariance: Array) -> Array:
-    """Return the same (n, n) modes; the covariance, which is theirs to overwrite, is spoilt."""
+    """Return the same (n, n) modes; the covariance is overwritten."""
     n = len(covariance)
-    # Piston moves from the eigenvalue 0 to the far end, and keeps off the faintest modes.
+    # Moves piston from the eigenvalue 0, where the weakest modes are, to the other end.
     covariance -= np.trace(covariance) / n
     values, vectors = eigenvectors(covariance)
     modes = rearranged(vectors, np.append(0, np.arange(n - 1, 0, -1)))

@@ -20,36 +20,32 @@ from truenewton.figures.style import (
     SIGNED_COLOURS,
     styled_axes,
 )
-from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings
-from truenewton.modal.modal_base import ModalBase
-from truenewton.modal.words import stiffness_text
+from truenewton.modal.modal_base import Budget, ModalBase
+from truenewton.modal.summary import stiffness_text
 
 NANOMETRE = 1e-9
-ACROSS = 4  # maps of modes beside each other
-LINES = ("-", "--", "-.")  # of the bases, which may lie upon each other
-FAINTEST = 1e-5  # of the largest power; below it, a piston that costs nothing takes up all the axis
-WIDE, HIGH = 2.3, 2.6  # from map to map, in units of a map's radius
+MAPS_PER_ROW = 4
+LINES = ("-", "--", "-.")  # of the bases, whose curves may coincide
+MIN_POWER = 1e-5  # on the axis, relative to the largest: that of piston may be nearly 0
+MAP_WIDTH, MAP_HEIGHT = 2.3, 2.6  # in units of the radius of a map
 
 
 def chosen_modes(count: int) -> list[int]:
-    """Return which modes are drawn: the softest eight, and four more up to the stiffest."""
+    """Return the modes to draw: the softest eight, and four more up to the stiffest."""
     more = np.geomspace(8, count, 5)[1:] - 1
     return sorted({*range(min(8, count)), *(round(k) for k in more if count > 8)})
 
 
 def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
-    """Draw modes on the map of the actuators, softest first, with their stiffness.
-
-    Each is coloured up to its largest displacement, one way and the other; white is none.
-    """
+    """Draw modes on the map of the actuators, softest first, with their stiffness."""
     layout, shown = base.stiffness.layout, chosen_modes(base.modes.stiffness.size)
     radius = dot_radius(layout)
     reach = float(np.hypot(layout.x, layout.y).max()) / MILLIMETRE + radius
-    down, across = np.divmod(np.arange(len(shown)), ACROSS)
-    right, up = WIDE * reach * across, -HIGH * reach * down
+    down, across = np.divmod(np.arange(len(shown)), MAPS_PER_ROW)
+    right, up = MAP_WIDTH * reach * across, -MAP_HEIGHT * reach * down
     rows = down[-1] + 1
-    with styled_axes(ax, HIGH * rows / (WIDE * ACROSS)) as ax:
+    with styled_axes(ax, MAP_HEIGHT * rows / (MAP_WIDTH * MAPS_PER_ROW)) as ax:
         modes = base.modes.modes[:, shown]
         dots = EllipseCollection(
             [2 * radius], [2 * radius], [0.0], units="xy", offset_transform=ax.transData,
@@ -64,18 +60,18 @@ def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
         for x, y, k in zip(right, up, shown, strict=True):
             ax.text(x, y + 1.06 * reach, f"{k + 1}: {stiffness_text(base.modes.stiffness[k])}",
                     fontsize=6.0, ha="center", va="bottom")  # fmt: skip
-        ax.set_xlim(-0.5 * WIDE * reach, (ACROSS - 0.5) * WIDE * reach)
-        ax.set_ylim((-rows + 0.55) * HIGH * reach, 0.55 * HIGH * reach)
+        ax.set_xlim(-0.5 * MAP_WIDTH * reach, (MAPS_PER_ROW - 0.5) * MAP_WIDTH * reach)
+        ax.set_ylim((-rows + 0.55) * MAP_HEIGHT * reach, 0.55 * MAP_HEIGHT * reach)
         ax.set_aspect("equal")
         ax.set_axis_off()
     return ax
 
 
 def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
-    """Draw the wavefront that the first N modes of each base leave."""
+    """Draw the residual wavefront of the first N modes of each base."""
     with styled_axes(ax, 0.7) as ax:
         for cost, colour, line in zip(base.costs, CURVES, LINES, strict=False):
-            left = cost.residual[:-1] / NANOMETRE  # all modes leave nothing on the actuators
+            left = cost.residual[:-1] / NANOMETRE  # without the last, which is 0
             ax.loglog(np.arange(1, left.size + 1), left, line, color=colour, label=cost.base)
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -96,7 +92,7 @@ def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
             ax.semilogy(number, cost.power_mean, color=colour, linestyle=":")
         least = min(cost.power_mean.min() for cost in base.costs)
         most = max(cost.power_worst.max() for cost in base.costs)
-        ax.set_ylim(bottom=max(0.8 * least, FAINTEST * most))
+        ax.set_ylim(bottom=max(0.8 * least, MIN_POWER * most))
         if np.isfinite(limits.power):
             ax.axhline(limits.power, color=FAINT, linewidth=0.6, linestyle="--")
         ax.set_xlabel("number of modes")
@@ -107,7 +103,7 @@ def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
 
 
 def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
-    """Draw how far the modes taken with alpha = 1 lie from those with alpha as it is."""
+    """Draw the angles between the modes with alpha = 1 and with the calibrated alpha."""
     c = modes.comparison
     with styled_axes(ax, 0.7) as ax:
         number = np.arange(1, c.rms_angle.size)
@@ -124,7 +120,7 @@ def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
 
 
 def modes_figures(modes: ModalFindings, limits: Budget) -> dict[str, Callable[..., Axes]]:
-    """Return what draws each figure of the modal base, by name; it takes axes or none."""
+    """Return the functions that draw the figures of the modal base, by name."""
     drawn: dict[str, Callable[..., Axes]] = {
         "modes": partial(plot_modes, modes.after),
         "modes-residual": partial(plot_residual, modes.after),

@@ -16,9 +16,8 @@ from truenewton.arrays import Array
 from truenewton.files.fits import write_fits
 from truenewton.files.format import Attribute, Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import files_together
-from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
-from truenewton.modal.modal_base import ModalBase
+from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.file import write_stiffness
 from truenewton.records.formats import ACTUATORS, SOURCES
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -26,7 +25,7 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 @dataclass(frozen=True, eq=False)
 class _Written:
-    """What goes into the files, ``cost`` being that of the stiffness modes."""
+    """The content of the files, ``cost`` that of the stiffness modes."""
 
     findings: ModalFindings
     base: ModalBase
@@ -52,12 +51,12 @@ class _Written:
 
 
 def _displacements(base: ModalBase, cost: int = 0) -> Array:
-    """Return (n, m) what the modes of a base are at each enabled actuator."""
+    """Return (n, m) displacements of the enabled actuators for the modes of a base."""
     return base.stiffness.displaced(base.costs[cost].modes)
 
 
 def _readings(base: ModalBase) -> Array:
-    """Return (n, m) what the sensors read of each mode."""
+    """Return (n, m) readings of each mode."""
     return base.stiffness.read(_displacements(base))
 
 
@@ -72,12 +71,12 @@ def _commands(base: ModalBase) -> Array:
 
 
 def _over_actuators(values: Callable[[ModalBase], Array]) -> Callable[[_Written], Array]:
-    """Return what gives the same of all N actuators."""
+    """Return a function that gives the same for all N actuators."""
     return lambda written: written.base.on_all_actuators(values(written.base))
 
 
 def _states(base: ModalBase) -> NDArray[np.str_]:
-    """Return (N,) what the optics make of each actuator."""
+    """Return (N,) the role of each actuator."""
     followers = np.where(base.stiffness.acts, "slaved", "off")
     states = np.full(base.layout.n, "disabled", dtype="U9")
     states[base.layout.enabled] = np.where(base.stiffness.commanded, "commanded", followers)
@@ -169,14 +168,14 @@ BESIDE = ("true", "commanded", *PLAIN)
 
 
 def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Return the paths of all that `write_modes` writes: the modal base first."""
+    """Return the paths of all files of `write_modes`: the modal base first."""
     target = Path(path)
     stem = target.name.removesuffix(".gz").removesuffix(".fits")
     return (target, *(target.with_name(f"{stem}.{what}.fits") for what in BESIDE))
 
 
 def numbered(path: Path, number: int) -> Path:
-    """Return the path for one segment: its number stands before the ending."""
+    """Return the path for one segment: its number precedes the ending."""
     stem = path.name.removesuffix(".gz").removesuffix(".fits")
     return path.with_name(f"{stem}-{number}{path.name.removeprefix(stem)}")
 
@@ -188,7 +187,7 @@ def write_modes(
     *,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write the modal base, and feed-forward and modes as others read them; return the paths.
+    """Write the modal base, and feed-forward and modes as plain matrices; return the paths.
 
     Beside MODES.fits stand MODES.true.fits and MODES.commanded.fits, stiffness files of the force
     per true displacement in true and in commanded Newtons; and MODES.ff_v_matrix.fits (the modes),
@@ -201,9 +200,9 @@ def write_modes(
     path
         MODES.fits.
     limits
-        Of power and force; how many modes keep within them is written, too.
+        Of power and force; the number of modes within them is written, too.
     overwrite
-        Replace files that stand.
+        Replace existing files.
 
     Raises
     ------

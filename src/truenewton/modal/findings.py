@@ -1,4 +1,11 @@
-"""From measurements to what the optical loop wants to know, before and after calibration."""
+"""Stiffness modes of measurements, before and after calibration, and how they differ.
+
+The first N modes are what a loop with N modes corrects, so the span of modes matters: two modes of
+equal stiffness may be rotated within their span without any effect. The angles between two spans
+describe their difference (Bjorck and Golub, Math. Comp. 27, 1973). With the matrix of overlaps
+C = V' W, the mean cos^2 of the N angles is the sum of squares of the leading N x N block of C over
+N, for all N by one cumulative sum.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import svds
 
 from truenewton.arrays import Array, taking_units
 from truenewton.calibration.methods import asked, calibrate, calibration_of, estimate_alpha
@@ -19,16 +28,15 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.estimation.readings.row_readers import read_rows
 from truenewton.estimation.screening.screen import screen_campaign
-from truenewton.modal.actuator_roles import indices_of
-from truenewton.modal.comparison import ModesComparison, compare_modes
-from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
-from truenewton.modal.measured_stiffness import MeasuredStiffness, motion_reader, stiffness_of
-from truenewton.modal.modal_base import ModalBase, modal_base
-from truenewton.modal.pupil import pupil_of, seen_turbulence
-from truenewton.modal.shape_products import MotionReader
-from truenewton.modal.static_force import static_force
-from truenewton.modal.true_stiffness import TrueStiffness, true_stiffness
-from truenewton.modal.turbulence import Atmosphere
+from truenewton.modal.measured_stiffness import (
+    MeasuredStiffness,
+    MotionReader,
+    motion_reader,
+    stiffness_of,
+)
+from truenewton.modal.modal_base import EFFICIENCY, Budget, Dissipation, ModalBase, modal_base
+from truenewton.modal.true_stiffness import TrueStiffness, indices_of, static_force, true_stiffness
+from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.notebook import html_table
@@ -36,28 +44,128 @@ from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.modes import StiffnessModes
 
-MOST_COMPARED = 1000  # actuators; modes only to compare take as long, and as much memory, again
-MISFIT = 2.0  # of the variance of repeats; hundreds of readings and more hold it within 10 %
+MAX_PAIR_DIFFERENCE = 0.01  # relative, of the stiffness of two modes that are a pair
+ROUNDING = 1e-9  # of rigid stiffness, relative to the largest
+MAX_EXACT_ORDER = 200  # modes whose angles are found by one decomposition
+MAX_ORDERS = 32  # at which the largest angle is found; each takes a decomposition
+MAX_COMPARED = 1000  # actuators; the modes for a comparison double time and memory
+MAX_MISFIT = 2.0  # of the variance of repeats; it is known to 10 % with some hundred readings
+
+
+@dataclass(frozen=True, eq=False)
+class ModesComparison:
+    """The difference of two sets of k modes, order by order.
+
+    Attributes
+    ----------
+    overlap
+        (k,) mean cos^2 of the N angles between the spans of the first N modes, N = 1..k.
+    rms_angle
+        (k,) rms sine of these angles [rad], from the part outside the span, so that small angles
+        are exact.
+    orders, largest_angle
+        (q,) some N, all if k is at most `MAX_ORDERS`, and the largest angle there [rad].
+    cuts
+        (k,) true if modes N and N + 1 have nearly the same stiffness, so that the span of the first
+        N is arbitrary; false without stiffness.
+    distance
+        Rms of ``rms_angle`` over the orders N < n that cut no pair [rad]: 0 for equal modes, about
+        1/2^1/2 for random ones.
+    """
+
+    overlap: Array
+    rms_angle: Array
+    orders: NDArray[np.int64]
+    largest_angle: Array
+    cuts: NDArray[np.bool_]
+    distance: float
+
+
+def compare_modes(one: Array, other: Array, stiffness: Array | None = None) -> ModesComparison:
+    """Compare two sets of k modes of n actuators, in their order.
+
+    Parameters
+    ----------
+    one, other
+        (n, k) one mode a column; they are orthogonalised in their order.
+    stiffness
+        (k,) of the modes of one of them: it marks the orders that cut a pair.
+
+    Raises
+    ------
+    ValueError
+        Different shapes.
+    """
+    if one.shape != other.shape or one.ndim != 2 or one.shape[1] > one.shape[0]:
+        raise ValueError(f"modes of shapes {one.shape} and {other.shape} cannot be compared")
+    n, k = one.shape
+    if stiffness is not None and np.shape(stiffness) != (k,):
+        raise ValueError(f"{np.shape(stiffness)} stiffnesses for {k} modes")
+    v, w = (np.linalg.qr(modes)[0] for modes in (one, other))
+    c = v.T @ w
+    left = w @ c.T
+    np.subtract(v, left, out=left)
+    outside = np.einsum("ij,ij->j", left, left)  # of each v, its part outside the span of w
+    # Of each v, its part along later w; without a difference, and in place since n may be large.
+    beyond = np.square(c, out=left) if n == k else c**2
+    backwards = beyond[:, ::-1]
+    np.cumsum(backwards, axis=1, out=backwards)
+    # Leak of the first N: the parts of each v along w N+1 .. k, and outside their span.
+    np.cumsum(beyond, axis=0, out=beyond)
+    number = np.arange(1, k + 1)
+    leak = np.cumsum(outside)
+    leak[:-1] += np.diagonal(beyond, 1)
+    del left, beyond, backwards
+    sine = np.sqrt(np.clip(leak / number, 0.0, 1.0))
+    cuts = np.zeros(k, dtype=bool)
+    if stiffness is not None:
+        size = np.maximum(np.abs(stiffness[1:]), np.abs(stiffness[:-1]))
+        tolerance = MAX_PAIR_DIFFERENCE * size + ROUNDING * np.abs(stiffness).max()
+        cuts[:-1] = np.abs(np.diff(stiffness)) <= tolerance
+    uncut = number[~cuts & (number < n)]
+    orders = uncut
+    if k > MAX_ORDERS and uncut.size:
+        wanted = np.geomspace(1, uncut[-1], MAX_ORDERS)
+        orders = uncut[np.unique(np.abs(uncut[:, None] - wanted).argmin(axis=0))]
+    return ModesComparison(
+        overlap=1.0 - sine**2,
+        rms_angle=sine,
+        orders=orders,
+        largest_angle=np.array([_largest_angle(v, w, c, int(order)) for order in orders]),
+        cuts=cuts,
+        distance=float(np.sqrt(np.mean(sine[uncut - 1] ** 2))) if uncut.size else float("nan"),
+    )
+
+
+def _largest_angle(v: Array, w: Array, c: Array, order: int) -> float:
+    """Return the largest angle between the spans of the first modes, from its sine."""
+    left = v[:, :order] - w[:, :order] @ c[:order, :order].T
+    if order <= MAX_EXACT_ORDER:
+        sine = float(np.linalg.norm(left, 2))
+    else:  # to 0.1 % in a few products: all singular values would take minutes
+        start = np.random.default_rng(0).standard_normal(order)
+        sine = float(svds(left, k=1, tol=1e-3, v0=start, return_singular_vectors=False)[0])
+    return float(np.arcsin(min(sine, 1.0)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ModalFindings:
-    """The modal base that alpha gives, beside what would be taken for it without.
+    """The modal base with alpha, compared with that for alpha = 1.
 
     Attributes
     ----------
     measured
-        The stiffness that cycles gave, and how well; None for a stiffness file.
+        The stiffness measured in cycles, and its errors; None for a stiffness file.
     calibration
-        Where alpha is from.
+        The source of alpha.
     after
-        The modal base with alpha as it is.
+        The modal base with this alpha.
     uncalibrated
-        Finds the modal base with alpha taken for 1; see ``before``.
+        A function that computes the modal base with alpha = 1; see ``before``.
     asymmetry, imbalance
-        Of the stiffness with alpha taken for 1, and as it is; see `TrueStiffness`.
+        Of the stiffness with alpha = 1, and with this alpha; see `TrueStiffness`.
     sources
-        The files that the stiffness is from.
+        The files of the stiffness.
 
     Examples
     --------
@@ -82,7 +190,7 @@ class ModalFindings:
 
     def _repr_html_(self) -> str:
         from truenewton.calibration.words import warning_lines
-        from truenewton.modal.words import headline, summary_rows
+        from truenewton.modal.summary import headline, summary_rows
 
         rows = [row for row in summary_rows(self) if row[1]]
         rows.append(("verdict on alpha", str(self.calibration.verdict)))
@@ -90,27 +198,27 @@ class ModalFindings:
 
     @cached_property
     def before(self) -> ModalBase:
-        """The modal base with alpha taken for 1; found when first asked for."""
+        """The modal base with alpha = 1, computed at first access."""
         return self.uncalibrated()
 
     @cached_property
     def comparison(self) -> ModesComparison:
-        """Of the modes before with those after; found when first asked for."""
+        """The difference of the modes before and after, computed at first access."""
         after = self.after.modes
         return compare_modes(after.modes, self.before.modes.modes, after.stiffness)
 
     @property
     def compares(self) -> bool:
-        """Whether words and figures compare with alpha taken for 1: not large mirrors."""
-        return self.after.layout.n <= MOST_COMPARED
+        """Whether texts and figures compare with alpha = 1: not for large mirrors."""
+        return self.after.layout.n <= MAX_COMPARED
 
     @property
     def warnings(self) -> tuple[Finding | Fault, ...]:
-        """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
+        """Problems of the stiffness, or of alpha for it, with remedies."""
         warnings: list[Finding | Fault] = (
             list(self.measured.warnings) if self.measured is not None else []
         )
-        if self.measured is not None and self.measured.misfit > MISFIT:
+        if self.measured is not None and self.measured.misfit > MAX_MISFIT:
             warnings.append(
                 Fault(
                     "shapes leave forces that no stiffness explains,"
@@ -135,7 +243,7 @@ class ModalFindings:
         return tuple(warnings)
 
     def modes_between(self, cost: Dissipation, limits: Budget) -> tuple[int, int]:
-        """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""
+        """Return the number of modes within limits for alpha one E_ALPHA higher, and lower."""
         c = self.calibration
         at = indices_of(c.layout, self.after.stiffness.enabled.id)
         error: Array = c.error[at] / np.abs(c.alpha[at])
@@ -159,39 +267,39 @@ def find_modes(
     reader: MotionReader | None = None,
     force: bool = False,
 ) -> ModalFindings:
-    """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
+    """Find the stiffness modes of a mirror, and the cost of turbulence with 1, 2, ... of them.
 
     Parameters
     ----------
     data
-        Cycles with POSITION, or a measured stiffness; that alone counts which stands among cycles.
+        Cycles with POSITION, or a measured stiffness, which takes precedence over cycles.
     calibration
-        Gives alpha; the data are calibrated where None.
+        The source of alpha; by default the data are calibrated.
     atmosphere
-        The turbulence; 0.8 arcsec where None.
+        The turbulence; by default with 0.8 arcsec.
     diameter, radius
         Of the entrance pupil, and of the mirror that fills it [m]; see `pupil_of`.
     efficiency
         Commanded force per root of power [N/W^1/2].
     sensor_gain, motion, off, slaved
-        As in `true_stiffness`; the data are calibrated with ``motion``, too.
+        See `true_stiffness`; ``motion`` is also used to calibrate the data.
     reader
-        What has read the cycles already, see `motion_reader`; they are read where None.
+        A reader that has read the cycles, see `motion_reader`; by default they are read.
     force
-        Take alpha whose verdict is 'rejected', too.
+        Accept an alpha whose verdict is 'rejected'.
 
     Raises
     ------
     NotToBeUsed
         The verdict on alpha, or most modes are negative; unless forced.
     RankDeficient, TooManyOutliers, NotConverged
-        The data tell no stiffness, or no alpha.
+        The data do not determine stiffness or alpha.
     FormatError
-        A number that cannot be: seeing, diameter, efficiency, sensor gain.
+        Invalid seeing, diameter, efficiency or sensor gain.
     CampaignMismatch
-        Data and calibration are of two mirrors.
+        Data and calibration of two mirrors.
     UnknownName
-        An ID that no enabled actuator has, or that is both off and slaved.
+        An invalid ID, or one both off and slaved.
 
     Examples
     --------
@@ -211,7 +319,7 @@ def find_modes(
     )
     before = stiffness_by(None)
     faults = before.asymmetry, before.imbalance
-    del before  # of large mirrors each matrix counts
+    del before  # to save memory for large mirrors
     modes = (stiffness := stiffness_by(calibration)).modes
     _refuse_negative(modes, force=force)
     air, pupil = atmosphere or Atmosphere(0.8), pupil_of(matrix.layout, diameter, radius)
@@ -232,7 +340,7 @@ def _uncalibrated(
     at_rest: Array | None,
     stiffness_by: Callable[[None], TrueStiffness],
 ) -> ModalBase:
-    """Return the modal base that would be taken for it without alpha."""
+    """Return the modal base with alpha = 1."""
     stiffness = stiffness_by(None)
     static = static_force(stiffness, calibration, at_rest)
     efficiency = after.costs[0].efficiency
@@ -245,7 +353,7 @@ def _with_alpha(
     reader: MotionReader | None,
     motion: Array | None,
 ) -> tuple[StiffnessMatrix, MeasuredStiffness | None, Calibration, MotionReader | None]:
-    """Return the stiffness, how it was measured, alpha, and what has read the cycles."""
+    """Return the stiffness, its measurement, alpha, and the reader of the cycles."""
     if isinstance(data, StiffnessMatrix):
         return data, None, calibration or calibrate(data, motion=motion), None
     if reader is None:
@@ -265,7 +373,7 @@ def _with_alpha(
 
 
 def _usable(calibration: Calibration, *, force: bool) -> Calibration:
-    """Return the calibration, with alpha 1 where the stiffness is a true one already.
+    """Return the calibration, with alpha = 1 if the stiffness is in true Newtons already.
 
     Raises
     ------
@@ -278,7 +386,7 @@ def _usable(calibration: Calibration, *, force: bool) -> Calibration:
 
 
 def _true_already(calibration: Calibration) -> bool:
-    """Tell whether the stiffness that was calibrated is a true one, as `modes` itself writes it."""
+    """Return whether the calibrated stiffness is in true Newtons, as `modes` writes it."""
     return any(effect.code == Code.TRUE_STIFFNESS for effect in calibration.effects)
 
 
@@ -299,7 +407,7 @@ def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:
 
 
 def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:
-    """Return the files of a stiffness: its own, or those of the cycles that hold POSITION."""
+    """Return the files of a stiffness: its own, or those of the cycles with POSITION."""
     if reader is None or not reader.positioned:
         source = matrix.source
         return (replace(source, rows=matrix.layout.n),) if source else ()

@@ -1,50 +1,232 @@
 """The measured stiffness from cycle files: commanded force per reading, by weighted regression.
 
-With z the reading and c' = c (1 + COILGRAD z) the force, both counted from rest in each cycle,
+With z the reading and c' = c (1 + COILGRAD z) the force, both relative to rest in each cycle,
 
     c' = K_c z,    K_c = diag(1/alpha) (K - BIASGRAD) diag(sensor gain)
 
-so the magnets' gradient stays inside: a feed-forward must hold it too. Repeats of a shape, its
-negative counted as one, are put together first, and weigh as their rows do.
+so that K_c includes the gradient of the magnets, which a feed-forward must hold too.
 
-Noise in z makes an ordinary regression too soft. Rows that repeat each other show that noise, with
-all that the loop makes of it in c; its share of sum z z' and sum c z' is taken out (errors in
-variables, the method of moments: Fuller, Measurement Error Models, 1987, chapter 2). At 66 pm of
-noise that is nothing; it counts where noise times the root of the number of shapes nears the
-displacement.
+Rows with the same load, SHAPE and SIGN repeat each other; their deviations from their mean are
+noise. A shape and its negative are one shape: their common part (the laws of coils and sensors, no
+stiffness) cancels. Distinct shapes are weighted by their rows.
+
+Noise in z makes an ordinary regression too soft. Repeated rows show that noise and its effect on c
+through the loop; its share of sum z z' and sum c z' is subtracted (errors in variables, the method
+of moments: Fuller, Measurement Error Models, 1987, chapter 2). At 66 pm of noise the effect is
+negligible; it matters if noise times the root of the number of shapes approaches the displacement.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
 from truenewton.estimation.checks.inputs import refusal_naming
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.readings.repeats import row_groups, row_weights
+from truenewton.estimation.readings.row_readers import RowBlock, read_rows
+from truenewton.estimation.readings.rows import distinct
 from truenewton.estimation.screening.frozen_readings import frozen_sensors
 from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
-from truenewton.files.stored_rows import Rows, StoredRows, largest_in_rows
-from truenewton.modal.shape_products import MotionReader
+from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms_in_units_of_rms
 from truenewton.statics.layout import Layout
 
-HELD = 3.0  # times the most that noise feigns: above it shapes hold a direction
-ROUNDING = 1e-5  # of the largest amplitude: below it a direction is rounding
-UNTOLD = 3e-3  # the same where nothing repeats, so that nobody knows the noise
-WITHIN = 0.1  # cosine to a rigid motion, from which on a missing direction counts as one
+MIN_SIGNAL_TO_NOISE = 3.0  # of a direction of motion that the shapes contain
+MIN_AMPLITUDE = 1e-5  # of such a direction, relative to the largest
+MIN_AMPLITUDE_WITHOUT_REPEATS = 3e-3  # the same if the noise is unknown
+MIN_COSINE = 0.1  # of a missing direction to a rigid motion that it counts as
+
+
+class Products:
+    """Sums over rows of c_i^2 (n,), c z' and z z' (n, n)."""
+
+    def __init__(self, n: int) -> None:
+        self.cc, (self.cz, self.zz) = np.zeros(n), np.zeros((2, n, n))
+
+    def add(self, c: Array, z: Array) -> None:
+        """Add (m, n) rows."""
+        self.cc += np.einsum("ri,ri->i", c, c)
+        self.cz += c.T @ z
+        self.zz += z.T @ z
+
+    def unexplained(self, k: Array) -> Array:
+        """Return (n,) the sum of (c - K z)^2."""
+        left = self.cc - np.einsum("ij,ij->i", k, 2 * self.cz - k @ self.zz)
+        return np.asarray(np.maximum(left, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeProducts:
+    """The sums that the regression needs.
+
+    Attributes
+    ----------
+    between, within
+        Sums over distinct shapes, and over deviations of rows from their repeats.
+    shapes, rows, spare
+        Number of distinct shapes, of rows, and of degrees of freedom of their repeats.
+    weight
+        Sum of the weights of the rows.
+    position_variance
+        Of a reading in a row of weight 1, from repeats and negatives; NaN if there are none [m^2].
+    """
+
+    between: Products
+    within: Products
+    shapes: int
+    rows: int
+    spare: int
+    weight: float
+    position_variance: float
+
+
+class MotionReader:
+    """Sums of force and displacement of the rows of a campaign, relative to rest, during reading.
+
+    Each row updates the means of its group and, exactly, the sums about them. Rest is the mean of
+    c (1 + COILGRAD z) over the rows that have their opposite, which is known at the end of a cycle:
+    until then rows are relative to that of its first rows, and then the sums are corrected.
+
+    Parameters
+    ----------
+    campaign, sound
+        The campaign to be read; the same with excluded rows marked as not valid.
+    positioned
+        Indices of its cycles with POSITION; if there are none, only ``force_at_rest`` is found.
+    rejected
+        Rows excluded from these cycles.
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        sound: Campaign,
+        positioned: Sequence[int] = (),
+        rejected: tuple[RejectedRow, ...] = (),
+    ) -> None:
+        self.sound, self.rejected = sound, rejected
+        self.positioned = tuple(sound.cycles[k] for k in positioned)
+        self._counts = [
+            cycle.valid[given.valid]
+            for cycle, given in zip(sound.cycles, campaign.cycles, strict=True)
+        ]
+        n = int(campaign.layout.enabled.sum())
+        self._rest = np.zeros((len(sound.cycles), n))
+        self._groups: dict[int, NDArray[np.int64]] = {}
+        if positioned:
+            of_these = Campaign(self.positioned)
+            self._labels, _, groups = row_groups(of_these)
+            self._groups = dict(zip(positioned, groups, strict=True))
+            self._weights = dict(zip(positioned, row_weights(of_these), strict=True))
+            self._force, self._position = np.zeros((2, len(self._labels), n))  # means
+            self._weight, self._within = np.zeros(len(self._labels)), Products(n)
+            self._begin_cycle()
+
+    def _begin_cycle(self) -> None:
+        n = self._rest.shape[1]
+        self._near_rest: Array | None = None
+        self._unshifted = np.ones(len(self._labels))  # one minus the share of its rest in each mean
+        self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
+
+    def take(self, block: RowBlock) -> None:
+        """Add the next rows."""
+        k, cycle = block.cycle_index, self.sound.cycles[block.cycle_index]
+        counts = self._counts[k][block.rows]
+        first = np.count_nonzero(self._counts[k][: block.rows.start])
+        force, own = block.force[counts], slice(first, first + np.count_nonzero(counts))
+        if cycle.position is not None:
+            z = block.position[counts] - cycle.rest_position
+            force *= 1.0 + (cycle.coil_gradient or 0.0) * z
+        at_rest = force[cycle.paired_rows[own]]
+        self._rest[k] += at_rest.sum(axis=0)
+        if k in self._groups and len(force):
+            if self._near_rest is None:
+                self._near_rest = (at_rest if len(at_rest) else force).mean(axis=0)
+            force -= self._near_rest
+            group = self._groups[k][own]
+            for rows in distinct(group):
+                self._add(force[rows], z[rows], group[rows], self._weights[k])
+        if block.last:
+            self._end_cycle(k)
+
+    def _add(self, force: Array, position: Array, group: NDArray[np.int64], weight: float) -> None:
+        """Add (m, n) rows of one cycle, each of another group."""
+        share = weight / (self._weight[group] + weight)
+        force, position = force - self._force[group], position - self._position[group]
+        self._force[group] += share[:, None] * force
+        self._position[group] += share[:, None] * position
+        size, missing = self._weight[group] * share, self._unshifted[group]
+        root = np.sqrt(size)[:, None]
+        self._within.add(root * force, root * position)
+        self._sum_force += (size * missing) @ force
+        self._sum_position += (size * missing) @ position
+        self._sum += float(size @ missing**2)
+        self._unshifted[group] = missing * (1.0 - share)
+        self._weight[group] += weight
+
+    def _end_cycle(self, cycle_index: int) -> None:
+        """Make the rows of the cycle relative to its own rest."""
+        rest = self._rest[cycle_index]
+        rest /= np.count_nonzero(self.sound.cycles[cycle_index].paired_rows)
+        if cycle_index in self._groups and self._near_rest is not None:
+            shift = rest - self._near_rest
+            self._within.cz -= np.outer(shift, self._sum_position)
+            self._within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
+            self._force -= np.outer(1.0 - self._unshifted, shift)
+            self._begin_cycle()
+
+    @property
+    def force_at_rest(self) -> Array:
+        """(n,) commanded force at rest under the first, bare load, mean of its cycles [N]."""
+        return np.asarray(self._rest[np.equal(self.sound.load_index, 0)].mean(axis=0))
+
+    def products(self) -> ShapeProducts:
+        """Return the sums for the regression, after all rows."""
+        label, heavy, n = self._labels, self._weight, self._rest.shape[1]
+        edge = np.flatnonzero(np.append(True, (label[1:, :2] != label[:-1, :2]).any(axis=1)))
+        ends = np.append(edge, len(label))
+        signed, total = label[:, 2] * heavy, np.add.reduceat(heavy, edge)
+        between, uneven = Products(n), 0.0
+        for some in blocks(len(edge), 4 * 8 * n):
+            rows = slice(ends[some.start], ends[some.stop])
+            force, position = self._force[rows], self._position[rows]
+            uneven += float(heavy[rows] @ np.sum(position**2, axis=1))
+            c, z = (
+                np.add.reduceat(signed[rows, None] * mean, edge[some] - rows.start)
+                / np.sqrt(total[some])[:, None]
+                for mean in (force, position)
+            )
+            between.add(c, z)
+            uneven -= float(np.sum(z**2))
+        count, within = sum(map(len, self._groups.values())), self._within
+        alike = count - len(edge)
+        loads = {cycle.load.key for cycle in self.positioned}
+        return ShapeProducts(
+            between=between,
+            within=within,
+            shapes=len(edge),
+            rows=count,
+            spare=count - len(label) - (len(self.positioned) - len(loads)),
+            weight=float(heavy.sum()),
+            position_variance=(
+                (float(np.trace(within.zz)) + uneven) / (n * alike) if alike else np.nan
+            ),
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredStiffness:
-    """The stiffness that a campaign measured, and how well.
+    """A stiffness measured by a campaign, and its errors.
 
     Attributes
     ----------
@@ -53,23 +235,21 @@ class MeasuredStiffness:
     shapes, rows
         Number of distinct shapes (of each load), and of rows that repeat them.
     residual
-        Rms force that the stiffness does not explain, of one row and actuator [N].
+        Rms residual force of one row and actuator [N].
     misfit
-        Variance of what distinct shapes leave over that of repeats: about 1 where c' = K_c z is all
-        there is; NaN where nothing repeats or all shapes are needed.
+        Residual variance of distinct shapes over that of repeats: about 1 if c' = K_c z is
+        complete; NaN if no shape is repeated or all shapes are needed.
     error
-        (n, n) standard error of each element [N/m]; NaN where no row is to spare.
+        (n, n) standard error of each element [N/m]; NaN without degrees of freedom.
     relative_error
-        Norm of the expected error over that of the stiffness; what ``rigid_assumed`` costs is not
-        in it.
+        Norm of the expected error over that of the stiffness, without that of ``rigid_assumed``.
     rigid_assumed
-        Number of rigid motions (of 3) that the shapes do not hold, which are taken to cost no
+        Number of rigid motions (of 3) that the shapes do not contain; they are assumed to need no
         force.
     rejected
-        Rows left out because they stand off from their repeats, in force or position; their cycles
-        count among those that hold POSITION.
+        Rows excluded as outliers in force or position; cycle indices are among those with POSITION.
     warnings
-        Of sensors that read the same in all rows of some files.
+        Of sensors with frozen readings in some files.
     """
 
     matrix: StiffnessMatrix
@@ -88,7 +268,7 @@ class MeasuredStiffness:
 
 
 def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
-    """Find commanded force per reading from the cycles that hold POSITION; others take no part.
+    """Return commanded force per reading from the cycles that contain POSITION.
 
     Parameters
     ----------
@@ -98,10 +278,10 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     Raises
     ------
     RankDeficient
-        No POSITION, elastic motions that no shape holds, or a sensor that reads the same in all
-        rows of all files.
+        No POSITION, elastic motions that no shape contains, or a sensor with frozen readings in all
+        files.
     TooManyOutliers
-        So many rows stand off from their repeats that the rest cannot be trusted.
+        Too many rows deviate from their repeats.
 
     Examples
     --------
@@ -114,16 +294,15 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
 
 
 def motion_reader(screened: ScreenedCampaign) -> MotionReader:
-    """Return who reads force and displacement of all rows that stand off in neither.
+    """Return a reader of force and displacement of all rows without outliers.
 
-    Where a stiffness stands among the cycles, only the force at rest is read.
+    If the campaign contains a stiffness, only the force at rest is read.
 
     Raises
     ------
     RankDeficient
-        No cycle holds POSITION.
+        No cycle contains POSITION.
     TooManyOutliers
-        So many rows stand off from their repeats that the rest cannot be trusted.
     """
     campaign, on = screened.campaign, screened.campaign.layout.enabled
     if campaign.stiffness is not None:
@@ -159,17 +338,16 @@ def motion_reader(screened: ScreenedCampaign) -> MotionReader:
 
 
 def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
-    """Return commanded force per reading, all rows having been read.
+    """Return commanded force per reading, after all rows have been read.
 
-    The standard error is that of the regression, from its residuals, in which noise of force and
-    of position meet: of element i, j s_i (S^-1)_jj^1/2 with S = sum z z', and s_i^2 the larger of
-    what repeats scatter and what distinct shapes leave.
+    The standard error of element i, j is s_i (S^-1)_jj^1/2 with S = sum z z', and s_i^2 the larger
+    of the residual variances of repeats and of distinct shapes; it includes noise of force and of
+    position.
 
     Raises
     ------
     RankDeficient
-        Elastic motions that no shape holds, or a sensor that reads the same in all rows of all
-        files.
+        Elastic motions that no shape contains, or a sensor with frozen readings in all files.
     """
     cycles = reader.positioned
     frozen = frozen_sensors(Campaign(cycles))
@@ -179,18 +357,18 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     sums = reader.products()
     layout = reader.sound.layout
     n = int(layout.enabled.sum())
-    # Of the noise of G shapes the fit of n columns takes n + 1 parts up: z'z - (G - n - 1) of it
-    # leaves no bias to second order, z'z - G of it would make K_c too stiff.
+    # The fit of n columns takes up n + 1 parts of the noise of G shapes: subtract G - n - 1
+    # leaves no bias to second order; to subtract all G would make K_c too stiff.
     share = max(sums.shapes - n - 1, 0) / sums.spare if sums.spare > 0 else 0.0
     square = sums.between.zz - share * sums.within.zz
     square = 0.5 * (square + square.T)
     values, vectors = np.linalg.eigh(square)
     noise = sums.position_variance * (np.sqrt(sums.shapes) + np.sqrt(n)) ** 2
-    least = UNTOLD if np.isnan(noise) else ROUNDING
-    held = values > max(HELD**2 * np.nan_to_num(noise), least**2 * values[-1])
+    least = MIN_AMPLITUDE_WITHOUT_REPEATS if np.isnan(noise) else MIN_AMPLITUDE
+    held = values > max(MIN_SIGNAL_TO_NOISE**2 * np.nan_to_num(noise), least**2 * values[-1])
     with refusal_naming(lambda: frozen):
         along = _along_rigid(vectors[:, ~held], layout, any(c.has_opposites for c in cycles))
-    # (S^-1) on what is held, seen along the rigid motions that are not.
+    # S^-1 on the directions of the shapes, projected along the missing rigid motions.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))
     inverse = half @ half.T
     k = (sums.between.cz - share * sums.within.cz) @ inverse
@@ -221,10 +399,10 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
 
 
 def _displacements(cycle: Cycle, positions: Rows) -> Rows:
-    """Return (N, n) readings less those at rest, wherever the cycle rests and whatever its zeros.
+    """Return (N, n) readings relative to rest.
 
-    Rest is the median, over shapes, of the mean of a shape and its negative: no row that stands off
-    moves it.
+    Rest is the median over shapes of the mean of a shape and its negative, which outliers do not
+    move.
     """
     number, sign = cycle.shape[cycle.valid], cycle.sign[cycle.valid]
     up, down = np.flatnonzero(sign > 0), np.flatnonzero(sign < 0)
@@ -239,10 +417,10 @@ def _displacements(cycle: Cycle, positions: Rows) -> Rows:
 
 
 def _along_rigid(missing: Array, layout: Layout, has_opposites: bool) -> Array:
-    """Return (n, n) the projection that takes rigid motions out of displacements.
+    """Return the (n, n) projection of displacements along rigid motions.
 
-    It keeps what the shapes hold, and takes away as many rigid motions as the (n, d) ``missing``
-    directions, those nearest to them.
+    It keeps the motions of the shapes, and removes as many rigid motions as there are (n, d)
+    ``missing`` directions, those nearest to them.
 
     Raises
     ------
@@ -252,7 +430,7 @@ def _along_rigid(missing: Array, layout: Layout, has_opposites: bool) -> Array:
     n, count = missing.shape
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
     _, cosine, right = np.linalg.svd(missing.T @ rigid)
-    elastic = count - int(np.count_nonzero(cosine > WITHIN))
+    elastic = count - int(np.count_nonzero(cosine > MIN_COSINE))
     if elastic:
         raise RankDeficient(
             f"{elastic} of {n - 3} elastic motions are missing from the shapes or drowned in noise",

@@ -1,34 +1,306 @@
-"""The modal base of a mirror: stiffness modes, and what turbulence costs on three bases."""
+"""The modal base of a mirror: residual wavefront, forces and powers of the first N modes.
+
+With orthonormal modes V, the covariance C of the wavefront, of which the surface takes half, and
+the true forces G that hold unit displacements, the first N modes have the amplitudes and forces
+
+    a = V' w / 2,    cov a = V' C V / 4,    f = (G V)_N a_N,    cov f = (G V)_N (cov a)_NN (G V)_N'
+
+Actuators that are not commanded follow the others, and their deviation is part of the residual.
+Only some modes at a time are in memory, since matrices of thousands of actuators are large.
+
+The power of a coil is that of its *commanded* force, (c / efficiency)^2 with c = f / alpha; stress
+in the glass and saturation depend on the true force.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from truenewton.arrays import Array
-from truenewton.modal.dissipation import Dissipation, dissipation
-from truenewton.modal.pupil import SeenTurbulence
+from truenewton.arrays import Array, freeze, in_units
+from truenewton.errors import FormatError
 from truenewton.modal.true_stiffness import TrueStiffness
+from truenewton.modal.turbulence import SeenTurbulence
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import StiffnessModes
 
+EFFICIENCY = 0.51  # commanded force per root of power, of LBT's and P45's coils [N/W^1/2]
+FORCE_SIGMAS = 3.0  # of the turbulent force that an actuator has to reach in addition to the static
+MIN_LIMIT = 1e-12  # squares stay above zero
+MIN_EFFICIENCY = 1e-6
+BLOCKS = 16  # of modes that are computed together
+MIN_BLOCK = 16  # modes
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Limits of power and force of the actuators.
+
+    Attributes
+    ----------
+    power
+        Largest mean power of any coil [W].
+    total
+        Largest mean power of all coils together [W].
+    force
+        Largest true force that any actuator has to reach [N]; see `Dissipation.reach`.
+
+    Raises
+    ------
+    FormatError
+        A limit that is not positive.
+
+    Examples
+    --------
+    >>> stiffness_modes = tn.find_modes(campaign, calibration).after.costs[0]
+    >>> stiffness_modes.modes_within(tn.Budget(power=0.1))
+    41
+    """
+
+    power: float = np.inf
+    total: float = np.inf
+    force: float = np.inf
+
+    def __post_init__(self) -> None:
+        units = {"power": "W", "total": "W", "force": "N"}
+        in_units(self, units)
+        for name, unit in units.items():
+            limit = getattr(self, name)
+            if not limit >= MIN_LIMIT:
+                raise FormatError(
+                    f"the largest {name} is {limit:g} {unit}",
+                    remedy=f"give a positive one, in {unit}",
+                    got=limit,
+                )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Dissipation:
+    """Residual wavefront, forces and powers of the first N = 1..m modes of a base.
+
+    Attributes
+    ----------
+    base
+        'stiffness', 'Zernike', ...
+    modes
+        (m, m) displacement at the commanded actuators, one mode a column, of unit length.
+    stiffness, seen
+        The stiffness and the turbulence.
+    static
+        (n,) static part of the true force: weight, bias, flattening [N].
+    efficiency
+        Commanded force per root of power [N/W^1/2].
+    residual
+        (m,) rms residual wavefront at all enabled actuators [m].
+    force_rms, force_worst
+        (m,) of ``force``, over the actuators [N].
+    reach_worst
+        (m,) largest ``reach`` [N].
+    power_total, power_worst
+        (m,) of all coils together, and of the worst [W].
+
+    Raises
+    ------
+    FormatError
+        An efficiency that is not positive.
+    """
+
+    base: str
+    modes: Array
+    stiffness: TrueStiffness
+    seen: SeenTurbulence
+    static: Array
+    efficiency: float
+    residual: Array
+    force_rms: Array
+    force_worst: Array
+    reach_worst: Array
+    power_total: Array
+    power_worst: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "modes", "static", "residual", "force_rms", "force_worst", "reach_worst",
+               "power_total", "power_worst")  # fmt: skip
+
+    def __repr__(self) -> str:
+        return f"<Dissipation of {self.residual.size} {self.base} modes>"
+
+    @property
+    def alpha(self) -> Array:
+        """(n,) true Newton / commanded Newton."""
+        return self.stiffness.enabled_alpha
+
+    @property
+    def force(self) -> Array:
+        """(n, m) rms true force of the turbulence on each actuator [N]; computed at each access."""
+        found = np.empty((len(self.static), len(self.residual)))
+        for some, force in self._forces():
+            found[:, some] = force
+        return found
+
+    @property
+    def power(self) -> Array:
+        """(n, m) mean power of each coil, static force included [W]."""
+        return _powers(self.force, self.static, self.alpha * self.efficiency)
+
+    @property
+    def reach(self) -> Array:
+        """(n, m) true force that each actuator has to reach: static plus three sigma [N]."""
+        return _reached(self.force, self.static)
+
+    @property
+    def power_mean(self) -> Array:
+        """(m,) of all coils [W]."""
+        return np.asarray(self.power_total / len(self.static))
+
+    def _forces(self) -> Iterator[tuple[slice, Array]]:
+        """Yield blocks of modes and the (n, b) forces of the first modes up to each."""
+        for answer in _answers(self.modes, self.stiffness, self.seen.wavefront):
+            yield answer.some, answer.force
+
+    def modes_within(self, limits: Budget, *, alpha_error: ArrayLike = 0.0) -> int:
+        """Return the largest N such that the first 1..N modes are all within the limits.
+
+        With a relative alpha_error, (n,) or one for all, true forces are larger by that factor; the
+        powers of the commands do not change.
+        """
+        higher = 1.0 + np.asarray(alpha_error, dtype=float).reshape(-1, 1)
+        beyond = (self.power_worst > limits.power) | (self.power_total > limits.total)
+        if higher.size == 1:
+            beyond |= higher[0, 0] * self.reach_worst > limits.force
+        elif np.isfinite(limits.force):
+            for some, force in self._forces():
+                reached = higher * _reached(force, self.static)
+                beyond[some] |= (reached > limits.force).any(axis=0)
+        return int(np.argmax(beyond)) if beyond.any() else beyond.size
+
+
+# In files and for scripts: name, unit, (m,) values of the first N = 1..m modes.
+SUMMARIES: tuple[tuple[str, str, Callable[[Dissipation], Array]], ...] = (
+    ("residual", "m", lambda cost: cost.residual),
+    ("force_rms", "N", lambda cost: cost.force_rms),
+    ("force_worst", "N", lambda cost: cost.force_worst),
+    ("reach", "N", lambda cost: cost.reach_worst),
+    ("power_mean", "W", lambda cost: cost.power_mean),
+    ("power_worst", "W", lambda cost: cost.power_worst),
+)
+
+
+def dissipation(
+    base: str,
+    modes: Array,
+    stiffness: TrueStiffness,
+    seen: SeenTurbulence,
+    static: Array,
+    efficiency: float = EFFICIENCY,
+) -> Dissipation:
+    """Return residual and cost of correcting turbulence with 1..m modes, see `Dissipation`.
+
+    The (m, m) modes are orthonormal on the commanded actuators; static forces are (n,) [N].
+
+    Raises
+    ------
+    FormatError
+        An efficiency that is not positive.
+    """
+    if not MIN_EFFICIENCY <= efficiency <= 1.0 / MIN_EFFICIENCY:
+        raise FormatError(
+            f"an efficiency of {efficiency:g} N/W^1/2",
+            remedy="give the commanded force per root of power, as 0.51",
+            got=efficiency,
+        )
+    own, missed, *summaries = np.empty((7, modes.shape[1]))
+    for answer in _answers(modes, stiffness, seen.wavefront):
+        own[answer.some], missed[answer.some] = answer.own, answer.missed
+        power = _powers(answer.force, static, stiffness.enabled_alpha * efficiency)
+        for summary, values in zip(
+            summaries,
+            (np.sqrt(np.mean(answer.force**2, axis=0)), answer.force.max(axis=0),
+             _reached(answer.force, static).max(axis=0), power.sum(axis=0), power.max(axis=0)),
+            strict=True,
+        ):  # fmt: skip
+            summary[answer.some] = values
+    # Summed from the end: the small residual of the last modes is no difference of large numbers.
+    left = np.append(np.cumsum(own[:0:-1])[::-1], 0.0)
+    residual = np.sqrt((left + missed) / len(seen.wavefront))
+    return Dissipation(base, modes, stiffness, seen, static, efficiency, residual, *summaries)
+
+
+def _powers(force: Array, static: Array, per_root: Array) -> Array:
+    """Return (n, b) powers [W] of forces, by the (n,) true force per root of power."""
+    return np.asarray((force**2 + static[:, None] ** 2) / per_root[:, None] ** 2)
+
+
+def _reached(force: Array, static: Array) -> Array:
+    """Return (n, b) true forces that actuators have to reach [N]."""
+    return np.asarray(np.abs(static)[:, None] + FORCE_SIGMAS * force)
+
+
+class _Answer(NamedTuple):
+    """Results of b more modes: (b,) variances, and (n, b) forces of all modes up to each."""
+
+    some: slice
+    own: Array  # variance of the wavefront along each [m^2]
+    missed: Array  # residual of the actuators that follow, with all modes up to each [m^2]
+    force: Array  # rms [N]
+
+
+def _answers(modes: Array, stiffness: TrueStiffness, wavefront: Array) -> Iterator[_Answer]:
+    """Yield the results of blocks of modes.
+
+    One more mode adds b_N^2 A_NN to the variance of a force, with A = V'CV and b = G V, and twice
+    b_N times its covariance with those before it: sum_j<N b_j A_jN = G V_<N (V_<N' C v_N).
+    """
+    on, n = stiffness.commanded, len(wavefront)
+    m, step = modes.shape[1], max(modes.shape[1] // BLOCKS, MIN_BLOCK)
+    variance, left_there = np.zeros((n, 1)), np.diag(wavefront)[~on, None]
+    for start in range(0, m, step):
+        V, before = modes[:, start : start + step], modes[:, :start]
+        everywhere = np.zeros((n, V.shape[1]))
+        everywhere[on] = V
+        met = wavefront @ everywhere
+        own = np.einsum("ij,ij->j", V, met[on])
+        shared = before @ (before.T @ met[on]) + V @ np.triu(V.T @ met[on], 1)
+        moved, moved_before = stiffness.displaced(V), stiffness.displaced(shared)
+        follow, follow_before = moved[~on], moved_before[~on]
+        left_there = left_there + np.cumsum(
+            _growth(follow, follow_before, own) - 2.0 * follow * met[~on], axis=1
+        )
+        G = stiffness.acting_stiffness
+        variance = variance + np.cumsum(_growth(G @ moved, G @ moved_before, own) / 4.0, axis=1)
+        yield _Answer(
+            slice(start, start + step),
+            own,
+            np.maximum(left_there, 0.0).sum(axis=0),
+            np.sqrt(np.maximum(variance, 0.0)),
+        )
+        variance, left_there = variance[:, -1:], left_there[:, -1:]
+
+
+def _growth(answers: Array, before: Array, own: Array) -> Array:
+    """Return the increase of variances by (n, b) modes, given their covariance with others."""
+    return np.asarray(answers * (2.0 * before + answers * own))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ModalBase:
-    """Stiffness modes of a mirror, and what it costs to correct turbulence.
+    """Stiffness modes of a mirror, and the cost of correcting turbulence.
 
     Attributes
     ----------
     matrix
-        The stiffness as measured, of all N actuators, disabled ones and those off included.
+        The measured stiffness of all N actuators, disabled ones and those off included.
     stiffness
-        What `true_stiffness` made of it, with alpha or as if it were 1.
+        The true stiffness, with alpha or with alpha = 1.
     modes
         Its eigenmodes, softest first.
     seen
-        The turbulence that it meets.
+        The turbulence.
     costs
         Of the stiffness modes, Zernike's and those of Karhunen and Loeve.
     """
@@ -44,11 +316,11 @@ class ModalBase:
 
     @property
     def layout(self) -> Layout:
-        """All N actuators that the stiffness was given for."""
+        """All N actuators of the stiffness."""
         return self.matrix.layout
 
     def on_all_actuators(self, values: Array) -> Array:
-        """Return (N, k) values over all actuators from (n, k) over the enabled; 0 elsewhere."""
+        """Return (N, k) values of all actuators from (n, k) of the enabled; 0 for others."""
         on = self.layout.enabled
         if on.all():
             return values
@@ -65,15 +337,7 @@ def modal_base(
     static: Array,
     efficiency: float,
 ) -> ModalBase:
-    """Return the modal base of a stiffness and its modes.
-
-    With (n,) `static_force` [N] and efficiency [N/W^1/2].
-
-    Raises
-    ------
-    FormatError
-        An efficiency that cannot be.
-    """
+    """Return the modal base of a stiffness, with (n,) `static_force` [N], efficiency [N/W^1/2]."""
     costs = (
         dissipation(name, vectors, stiffness, seen, static, efficiency)
         for name, vectors in (

@@ -1,22 +1,21 @@
-"""True stiffness: true Newtons per true displacement, with what statics knows of it put to use.
+"""True stiffness: true Newtons per true displacement, consistent with statics.
 
 Of a measured stiffness K_c, where true force = alpha x commanded and true displacement = gain x
 reading,
 
     K = diag(alpha) K_c diag(1/gain) H^-1
 
-with H from what the sensors see to what the magnets do, by a model of the glass, or by the places
-of the sensors and a thin plate; 1 where neither is known.
-Maxwell and Betti make it symmetric. Forces of a free shell balance and its rigid motions bend
-nothing, so rigid motions R (the rows of the arms) and the rest Q have nothing to do with each other
-but for uneven bias magnets:
+with H from displacements under the sensors to those of the magnets, by a model of the glass, or by
+the places of the sensors and a thin plate; 1 if neither is known. K is symmetric (Maxwell, Betti).
+Forces of a free shell balance and its rigid motions do not bend it, so rigid motions R (the rows of
+the arms) are not coupled to the rest Q, except by uneven bias magnets:
 
     K = R (R'KR) R' + Q K Q,    Q = 1 - R R'
 
-What couples them is error, of alpha (forces R'K do not balance) and of the gains (K R costs force),
-and is dropped where alpha is known. That brings the modes nearer to the truth: on simulated P45 by
-2 to 10 per cent on average, and in each of 60 campaigns; on the measured LBT672, held against a
-shell model that knows nothing of it, by up to a third for the softest (docs/stiffness-modes.md).
+A coupling is an error, of alpha (forces R'K do not balance) or of the gains (K R needs force), and
+is removed if alpha is known. That brings the modes nearer to the truth: on simulated P45 by 2 to 10
+per cent on average, and in each of 60 campaigns; on the measured LBT672, compared with an
+independent shell model, by up to a third for the softest (docs/stiffness-modes.md).
 """
 
 from __future__ import annotations
@@ -27,32 +26,121 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg import lu_factor, lu_solve
 
 from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
-from truenewton.errors import RankDeficient
+from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.estimation.reciprocity.sensor_model import Places, places_of, seen_from
 from truenewton.linalg import ROWS_AT_ONCE, symmetrised
-from truenewton.modal.actuator_roles import (
-    checked_gain,
-    matched_alpha,
-    matched_sensors,
-    off_and_slaved,
-    per_true_displacement,
-    readings,
-)
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
-from truenewton.statics.arms import arms, arms_in_units_of_rms
+from truenewton.statics.arms import arms, arms_in_units_of_rms, effective_weight, external_load
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import StiffnessModes, stiffness_modes
+
+MIN_ACTUATORS = 4  # three would leave rigid motions only
+
+
+def off_and_slaved(
+    layout: Layout, off: Sequence[int], slaved: Sequence[int]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return (n,) which actuators are off and (n,) which are slaved, from their IDs.
+
+    Raises
+    ------
+    UnknownName
+        An ID that does not exist, or that is both.
+    RankDeficient
+        Too few are left to command.
+    """
+    floats, follows = _named(layout, off, "off"), _named(layout, slaved, "slaved")
+    if (floats & follows).any():
+        both = int(layout.id[floats & follows][0])
+        raise UnknownName(
+            f"actuator {both} is both off and slaved", remedy="name it once", got=both
+        )
+    commanded = int(np.count_nonzero(~(floats | follows)))
+    if commanded < MIN_ACTUATORS:
+        raise RankDeficient(
+            f"only {counted(commanded, 'actuator')} of {layout.n} left to command",
+            remedy=f"leave {MIN_ACTUATORS} at least",
+            got=commanded,
+            want=MIN_ACTUATORS,
+        )
+    return floats, follows
+
+
+def _named(layout: Layout, ids: Sequence[int], what: str) -> NDArray[np.bool_]:
+    """Return (n,) which actuators are named."""
+    if not all(isinstance(name, int | np.integer) for name in ids):
+        raise UnknownName(
+            f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]", got=ids
+        )
+    unknown = sorted({*map(int, ids)} - {*layout.id.tolist()})  # Python integers do not overflow
+    if unknown:
+        raise UnknownName(
+            f"no enabled actuator has the ID {unknown[0]} that is to be {what}",
+            remedy=f"IDs go from {layout.id.min()} to {layout.id.max()}",
+            got=int(unknown[0]),
+        )
+    return np.isin(layout.id, ids)
+
+
+def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | None) -> Array:
+    """Return (n,) alpha of the actuators of a mirror by their IDs; 1 without calibration.
+
+    Raises
+    ------
+    CampaignMismatch
+        The calibration belongs to another mirror, or lacks an actuator.
+    """
+    if calibration is None:
+        return np.ones(layout.n)
+    remedy = "give the calibration of the same mirror"
+    if calibration.instrument != instrument:
+        raise CampaignMismatch(
+            f"the stiffness is of {instrument}, the calibration of {calibration.instrument}",
+            remedy=remedy,
+        )
+    theirs = calibration.layout
+    at = indices_of(theirs, layout.id)
+    unknown = (theirs.id[at] != layout.id) | ~np.isfinite(calibration.alpha[at])
+    if unknown.any():
+        raise CampaignMismatch(
+            f"the calibration has no alpha for actuator {layout.id[unknown][0]}",
+            remedy="calibrate all actuators that the stiffness has enabled",
+            got=int(layout.id[unknown][0]),
+        )
+    if apart := theirs.part(at).other_actuators(layout):
+        raise CampaignMismatch(f"stiffness and calibration disagree on {apart}", remedy=remedy)
+    return np.asarray(calibration.alpha[at])
+
+
+def _per_true_displacement(k: Array, places: Places, gain: Array, offset: Array) -> Array:
+    """Return (n, n) forces per true displacement from those per reading, which are overwritten.
+
+    Between the actuators the glass bends as a plate unless ``places`` contains a model of it.
+    """
+    k /= gain
+    if places.motion is None and not offset.any():
+        return k
+    factors = lu_factor(seen_from(places, offset).T, overwrite_a=True)
+    return np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
+
+
+def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return (k,) indices in a layout of (k,) IDs; an arbitrary one if an ID does not exist."""
+    order = np.argsort(layout.id)
+    at = np.searchsorted(layout.id, names, sorter=order)
+    return np.asarray(order[np.minimum(at, layout.n - 1)])
 
 
 @dataclass(frozen=True, eq=False)
 class TrueStiffness:
-    """Stiffness of the m actuators that are commanded, of n that are enabled.
+    """Stiffness of the m commanded actuators of n enabled ones.
 
     Attributes
     ----------
@@ -63,24 +151,24 @@ class TrueStiffness:
     enabled, acts
         The n enabled actuators; (n,) false where one is off.
     followers
-        (n - m, m) displacements of those that are not commanded per displacement of each commanded.
+        (n - m, m) displacements of the others per displacement of each commanded one.
     acting_stiffness
-        (n, n) true force per displacement, were those commanded too that are slaved: the
-        feed-forward of all that act; 0 for those that are off [N/m].
+        (n, n) true force per displacement if slaved actuators were commanded too: the feed-forward
+        of all actuators that act; 0 for those that are off [N/m].
     enabled_alpha
-        (n,) true Newton / commanded Newton of the enabled; 1 where there is no calibration.
+        (n,) true Newton / commanded Newton of the enabled; 1 without calibration.
     enabled_gain
-        (n,) true displacement / reading of the enabled; 1 where it is not known.
+        (n,) true displacement / reading of the enabled; 1 if not known.
     enabled_offset
-        (2, n) x and y of their magnets less their sensors; 0 where it is not known [m].
+        (2, n) x and y of their magnets less their sensors; 0 if not known [m].
     places
-        Of the enabled, and what a model of the glass tells there.
+        Of the enabled, with the model of the glass if there is one.
     asymmetry
-        |K - K'| / |K + K'| of the whole matrix, before it was made symmetric.
+        |K - K'| / |K + K'| of the whole matrix before it was made symmetric.
     actuator_asymmetry
-        (n,) the same of each enabled actuator's row and column.
+        (n,) the same of the row and column of each enabled actuator.
     imbalance
-        Norm of what couples rigid motions to the rest, over that of K; dropped if calibrated.
+        Norm of the coupling of rigid motions to the rest, over that of K; removed if calibrated.
     """
 
     layout: Layout
@@ -107,7 +195,7 @@ class TrueStiffness:
         return np.isin(self.enabled.id, self.layout.id)
 
     def displaced(self, commanded: Array) -> Array:
-        """Return (n, k) displacements of all enabled for (m, k) of those that are commanded."""
+        """Return (n, k) displacements of all enabled from (m, k) of the commanded."""
         on = self.commanded
         if on.all():
             return commanded
@@ -122,7 +210,7 @@ class TrueStiffness:
 
     @property
     def forces(self) -> Array:
-        """(n, m) the true forces that these take [N/m]; 0 of those that are off."""
+        """(n, m) true forces of `shapes` [N/m]; 0 for those that are off."""
         if self.commanded.all():
             return self.acting_stiffness
         return np.asarray(self.acting_stiffness @ self.shapes)
@@ -140,31 +228,32 @@ class TrueStiffness:
 
     @property
     def seen(self) -> Array:
-        """(n, n) true displacements of the enabled for what their sensors read: H diag(gain)."""
+        """(n, n) true displacements of the enabled per reading: H diag(gain)."""
         return seen_from(self.places, self.enabled_offset) * self.enabled_gain
 
     def read(self, moved: Array) -> Array:
-        """Return (n, k) what the sensors of the enabled read of (n, k) true displacements."""
-        return readings(moved, self.places, self.enabled_gain, self.enabled_offset)
+        """Return the (n, k) readings of the enabled for (n, k) true displacements."""
+        gain = self.enabled_gain[:, None]
+        if self.places.motion is None and not self.enabled_offset.any():
+            return np.asarray(moved / gain)
+        factors = lu_factor(seen_from(self.places, self.enabled_offset), overwrite_a=True)
+        return np.asarray(lu_solve(factors, moved) / gain)
 
     @property
     def feed_forward_commanded(self) -> Array:
-        """(n, m) commanded force per true displacement, diag(1/alpha) K if all are commanded.
-
-        Of all enabled actuators, since slaved ones are given forces too.
-        """
+        """(n, m) commanded force of all enabled, slaved ones included, per true displacement."""
         return np.asarray(self.forces / self.enabled_alpha[:, None])
 
     @property
     def modes(self) -> StiffnessModes:
-        """Its modes: rigid motions first where calibrated, then the softest."""
+        """Its modes: rigid motions first if calibrated, then the softest."""
         return stiffness_modes(self.stiffness, arms(self.layout).T if self.calibrated else None)
 
     @property
     def rigid_stiffness(self) -> Array:
-        """(3,) v'Kv of piston and the two tilts, of unit length [N/m]: negative by bias magnets.
+        """(3,) v'Kv of piston and tilts of unit length [N/m]; bias magnets make it negative.
 
-        Calibrated, and with all actuators commanded, these are the first three `modes`.
+        If calibrated, and with all actuators commanded, these are the first three `modes`.
         """
         rigid = np.linalg.qr(arms_in_units_of_rms(self.layout).T)[0]
         return np.asarray(np.sum(rigid * (self.stiffness @ rigid), axis=0))
@@ -184,35 +273,35 @@ def true_stiffness(
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
 ) -> TrueStiffness:
-    """Return the stiffness in true Newtons and true metres, of the actuators that are commanded.
+    """Return the stiffness of the commanded actuators in true Newtons and true metres.
 
     Actuators that are off apply no force and float: with o for them and a for the others,
-    K_aa - K_ao K_oo^-1 K_oa. Slaved ones take the positions that make the sum of squares of all
-    forces least, ``z_s = -(K_:s' K_:s)^-1 K_:s' K_:m z_m`` for commanded z_m.
+    K_aa - K_ao K_oo^-1 K_oa. Slaved ones take the positions that minimise the sum of squares of all
+    forces, ``z_s = -(K_:s' K_:s)^-1 K_:s' K_:m z_m`` for commanded z_m.
 
     Parameters
     ----------
     matrix
-        Measured; disabled actuators are left out, those that the calibration left out float.
+        Measured. Disabled actuators are excluded; those that the calibration excludes float.
     calibration
-        Of the same mirror; None takes alpha = 1, and statics for nothing but symmetry.
+        Of the same mirror; None assumes alpha = 1, and uses statics for symmetry only.
     sensor_gain
-        (n,) true displacement / reading, in the order of ``matrix.layout``; unless given, what the
-        calibration knows of gains and places of the sensors counts, if the matrix does not hold it
-        already (`StiffnessMatrix.displaced`).
+        (n,) true displacement / reading, in the order of ``matrix.layout``. By default gains and
+        places of the sensors are those of the calibration, unless the matrix is per true
+        displacement already (`StiffnessMatrix.displaced`).
     motion
-        (6, n, n) or (n, n) as of `calibrate`; does not count if the matrix holds it already.
+        (6, n, n) or (n, n), see `calibrate`; not used if the matrix is per true displacement.
     off, slaved
         IDs.
 
     Raises
     ------
     CampaignMismatch, UnknownName
-        Not of one mirror; an ID that no enabled actuator has, or that is both off and slaved.
+        Matrix and calibration of two mirrors; an invalid ID, or one both off and slaved.
     RankDeficient
         Too few actuators are left, or they do not hold those that are off.
     FormatError
-        Sensor gains that cannot be.
+        Invalid sensor gains.
 
     Examples
     --------
@@ -223,11 +312,12 @@ def true_stiffness(
     if calibration is not None:
         matrix = as_calibrated(matrix, calibration.effects)
     layout = matrix.layout.part(matrix.layout.enabled)
-    alpha = matched_alpha(layout, matrix.instrument, calibration)
-    gain, offset, places = _sensors(matrix, layout, calibration, sensor_gain, motion)
+    alpha = _matched_alpha(layout, matrix.instrument, calibration)
+    gain, offset = _sensors(matrix, layout, calibration, sensor_gain)
+    places = places_of(matrix.layout, None if matrix.displaced == "true" else motion)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = alpha[:, None] * matrix.used_stiffness
-    k = per_true_displacement(k, places, gain, offset)
+    k = _per_true_displacement(k, places, gain, offset)
     skew = _skew_norms(k)
     symmetric = symmetrised(k)
     size = 2.0 * _row_norms(symmetric)
@@ -253,23 +343,44 @@ def _sensors(
     layout: Layout,
     calibration: Calibration | None,
     sensor_gain: Array | None,
-    motion: Array | None,
-) -> tuple[Array, Array, Places]:
-    """Return (n,) gains and (2, n) offsets of the enabled, and what is known of their glass."""
-    known = matrix.displaced == "true"
-    gain, offset = matched_sensors(layout, None if known else calibration)
+) -> tuple[Array, Array]:
+    """Return (n,) gains and (2, n) offsets [m] of the sensors of the enabled actuators.
+
+    They are those given, otherwise those of the calibration, as far as they are known.
+
+    Raises
+    ------
+    FormatError
+    """
+    gain, offset, on = np.ones(layout.n), np.zeros((2, layout.n)), matrix.layout.enabled
     if sensor_gain is not None:
-        gain, offset = checked_gain(sensor_gain, matrix.layout.enabled), np.zeros_like(offset)
-    return gain, offset, places_of(matrix.layout, None if known else motion)
+        if np.shape(sensor_gain) != on.shape:
+            raise FormatError(
+                f"sensor_gain has shape {np.shape(sensor_gain)}",
+                remedy=f"give one number for each of the {on.size} actuators",
+                got=np.shape(sensor_gain),
+                want=on.shape,
+            )
+        gain = np.asarray(sensor_gain, dtype=float)[on]
+    elif calibration is not None and matrix.displaced != "true":
+        at = indices_of(calibration.layout, layout.id)
+        theirs = calibration.of_sensors("gain")[at]
+        gain = np.where(np.isnan(theirs), 1.0, theirs)
+        offset = np.nan_to_num([calibration.of_sensors(axis)[at] for axis in "xy"])
+    if not (np.isfinite(gain).all() and (gain > 0).all()):
+        raise FormatError(
+            "sensor_gain holds numbers that are not positive", remedy="they are about 1"
+        )
+    return gain, offset
 
 
 def _row_norms(matrix: Array) -> Array:
-    """Return (n,) the norm of each row, without a copy of the matrix."""
+    """Return the (n,) norms of rows without a copy of the matrix."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", matrix, matrix)))
 
 
 def _skew_norms(matrix: Array) -> Array:
-    """Return (n,) the norm of each row of an (n, n) matrix less its transpose."""
+    """Return the (n,) norms of rows of an (n, n) matrix less its transpose."""
     norms = np.empty(len(matrix))
     for start in range(0, len(matrix), ROWS_AT_ONCE):
         some = slice(start, start + ROWS_AT_ONCE)
@@ -278,21 +389,21 @@ def _skew_norms(matrix: Array) -> Array:
 
 
 def _uncoupled(symmetric: Array, coupling: Array, rigid: Array) -> Array:
-    """Return (n, n) without what couples it to (n, 3) rigid motions; it is overwritten."""
+    """Return (n, n) without its coupling to (n, 3) rigid motions; it is overwritten."""
     symmetric -= coupling @ rigid.T
     symmetric -= rigid @ coupling.T
     return symmetrised(symmetric)  # to the last digit
 
 
 def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) -> Array:
-    """Return (n - m, m) displacements of those that are not commanded; k is overwritten.
+    """Return (n - m, m) displacements of the actuators that are not commanded.
 
-    It becomes what those that act feel, were the slaves commanded too.
+    k is overwritten by the stiffness of all that act, as if slaved ones were commanded.
 
     Raises
     ------
     RankDeficient
-        Those that float are not held.
+        Floating actuators are not held.
     """
     acts, commanded = ~floats, ~(floats | follows)
     floating = np.zeros((int(floats.sum()), len(k)))
@@ -316,3 +427,28 @@ def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) 
         floating[:, commanded] += floating[:, follows] @ slaved
     followers[floats] = floating[:, commanded]
     return followers[~commanded]
+
+
+def static_force(
+    stiffness: TrueStiffness, calibration: Calibration, at_rest: Array | None
+) -> Array:
+    """Return the (n,) true static forces of the enabled actuators: weight, bias, flattening [N].
+
+    They come from the (n,) commanded forces at rest [N] (`MotionReader.force_at_rest`), otherwise
+    from weight and bias of the calibration, otherwise they are 0. The load of actuators that are
+    off is carried by the smallest forces of the others.
+    """
+    layout, on = stiffness.enabled, stiffness.acts
+    A, c = arms(layout), calibration
+    if at_rest is not None:
+        force = stiffness.enabled_alpha * at_rest
+    elif c.loads and np.isfinite(c.bias_force):
+        first = c.loads[0]
+        weight = effective_weight(c.weight, first.added, first.tilt)
+        k = external_load(weight, c.bias_force, c.torque_y[0], c.torque_x[0])
+        force = -np.linalg.pinv(A) @ k
+    else:
+        return np.zeros(layout.n)
+    borne = np.where(on, force, 0.0)
+    borne[on] += np.linalg.pinv(A[:, on]) @ (A @ (force - borne))
+    return np.asarray(borne)

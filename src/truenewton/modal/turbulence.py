@@ -1,29 +1,35 @@
-"""The wavefront that the atmosphere sends: its covariance between points of the pupil."""
+"""The wavefront of the atmosphere: its covariance in the pupil, and on the mirror."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
 from scipy.special import gamma, kv
 
-from truenewton.arrays import Array, in_units
+from truenewton.arrays import Array, freeze, in_units
 from truenewton.errors import FormatError
 from truenewton.linalg import ROWS_AT_ONCE
+from truenewton.modal.bases import overwritten_by_modes, zernike_modes
+from truenewton.statics.layout import Layout
 
 WAVELENGTH = 500e-9  # at which seeing and r0 are stated [m]
-BEST_SEEING, WORST_SEEING = 1e-3, 30.0  # beyond them the unit has slipped [arcsec]
-LEAST_SCALE = 1e-2  # [m]
+MIN_SEEING, MAX_SEEING = 1e-3, 30.0  # beyond them the unit is wrong [arcsec]
+MIN_OUTER_SCALE = 1e-2  # [m]
 ARCSECOND = np.pi / 180 / 3600
 # Fried's definition of r0 fixes the structure function 6.88 (r / r0)^(5/3) [rad^2], and that the
-# spectrum 0.0229 r0^(-5/3) f^(-11/3). Both from one constant, lest they differ in the fourth digit.
+# spectrum 0.0229 r0^(-5/3) f^(-11/3). One constant for both: they agree in all digits.
 FRIED = 2 * (24 / 5 * gamma(6 / 5)) ** (5 / 6)
 SPECTRUM = 5 / 12 * gamma(11 / 6) / gamma(1 / 6) * np.pi ** (-8 / 3) * FRIED
 ORDER = 5 / 6  # of the Bessel function K in the closed form
-SERIES_BELOW = 2.0  # 2 pi r / L0 up to which the power series serves
+SERIES_BELOW = 2.0  # 2 pi r / L0 up to which the power series is used
 SERIES_TERMS = 14  # the next is below 1e-17 of the sum
-AT_ONCE = 1 << 14  # distances
+DISTANCES_AT_ONCE = 1 << 14
+MAX_DIAMETER = 100.0  # beyond it the unit is wrong [m]
+MIN_DIAMETER = 1e-3  # and radius [m]
+LBT_MAGNIFICATION = 4.11 / 0.452  # pupil over mirror, of LBT's secondaries
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ class Atmosphere:
     Raises
     ------
     FormatError
-        A seeing or an outer scale that cannot be.
+        Invalid seeing or outer scale.
 
     Examples
     --------
@@ -53,19 +59,19 @@ class Atmosphere:
 
     def __post_init__(self) -> None:
         in_units(self, {"seeing": "arcsec", "outer_scale": "m"})
-        if not BEST_SEEING <= self.seeing <= WORST_SEEING:
+        if not MIN_SEEING <= self.seeing <= MAX_SEEING:
             raise FormatError(
                 f"a seeing of {self.seeing:g} arcsec",
                 remedy="give the width at 500 nm, as 0.8",
                 got=self.seeing,
-                want=f"{BEST_SEEING:g} to {WORST_SEEING:g}",
+                want=f"{MIN_SEEING:g} to {MAX_SEEING:g}",
             )
-        if not self.outer_scale >= LEAST_SCALE:
+        if not self.outer_scale >= MIN_OUTER_SCALE:
             raise FormatError(
                 f"an outer scale of {self.outer_scale:g} m",
                 remedy="give some tens of metres, or inf for Kolmogorov's spectrum",
                 got=self.outer_scale,
-                want=f"{LEAST_SCALE:g} at least",
+                want=f"{MIN_OUTER_SCALE:g} at least",
             )
 
     @property
@@ -75,14 +81,9 @@ class Atmosphere:
 
 
 def structure_function(distance: Array, atmosphere: Atmosphere) -> Array:
-    """Return D(r), the mean square difference of the wavefront between two points [m^2].
+    """Return D(r), the mean square difference of the optical path between two points [m^2].
 
-    Of the optical path, so of no wavelength: D = (lambda / 2 pi)^2 times that of the phase.
-
-    Parameters
-    ----------
-    distance
-        r between the points, of any shape [m].
+    It is (lambda / 2 pi)^2 times that of the phase; distances r [m] have any shape (...).
 
     Notes
     -----
@@ -127,9 +128,9 @@ def _departure(t: Array) -> Array:
 def wavefront_covariance(x: Array, y: Array, atmosphere: Atmosphere) -> Array:
     """Return the (n, n) covariance of the wavefront between points of the pupil, less piston [m^2].
 
-    Of the optical path, whatever the wavelength. P C P with P = I - 1 1'/n: the mean over the
-    points is out, which the loop leaves alone and which in Kolmogorov's spectrum is infinite. As
-    constants drop out of P, C = -D / 2 for any outer scale.
+    It is that of the optical path, P C P with P = I - 1 1'/n: the mean over the points, which a
+    loop does not correct and which is infinite in Kolmogorov's spectrum, is removed. Constants drop
+    out of P C P, so that C = -D / 2 for any outer scale.
 
     Parameters
     ----------
@@ -146,21 +147,136 @@ def wavefront_covariance(x: Array, y: Array, atmosphere: Atmosphere) -> Array:
     '0.6 um rms'
     """
     D = pdist(np.column_stack([x, y]))
-    for start in range(0, D.size, AT_ONCE):
-        some = slice(start, start + AT_ONCE)
+    for start in range(0, D.size, DISTANCES_AT_ONCE):
+        some = slice(start, start + DISTANCES_AT_ONCE)
         D[some] = structure_function(D[some], atmosphere)
     D *= -0.5
     C = squareform(D)
     mean = C.mean(axis=0)
-    return counted_from(C, mean, float(mean.mean()))
+    return less_mean(C, mean, float(mean.mean()))
 
 
-def counted_from(C: Array, with_mean: Array, of_mean: float) -> Array:
-    """Count a wavefront with (n, n) covariance from some mean of it, in place; return the matrix.
+def less_mean(C: Array, with_mean: Array, of_mean: float) -> Array:
+    """Subtract a mean from a wavefront with (n, n) covariance, in place; return the matrix.
 
-    ``with_mean``, (n,), is its covariance with the mean, and ``of_mean`` the mean's variance.
+    ``with_mean`` is its (n,) covariance with the mean, and ``of_mean`` the variance of the mean.
     """
     for start in range(0, len(C), ROWS_AT_ONCE):
         some = slice(start, start + ROWS_AT_ONCE)
         C[some] -= np.add.outer(with_mean[some], with_mean) - of_mean
     return C
+
+
+@dataclass(frozen=True)
+class Pupil:
+    """The size of the mirror and of the entrance pupil that it fills.
+
+    Attributes
+    ----------
+    radius
+        Of the optical surface of the mirror in the plane of x and y [m].
+    diameter
+        Of the entrance pupil [m].
+    """
+
+    radius: float
+    diameter: float
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "diameter"):
+            value = getattr(self, name)
+            if not MIN_DIAMETER <= value < np.inf:
+                raise FormatError(
+                    f"the {name} of the pupil is {value:g} m", remedy="give it in metres", got=value
+                )
+        if self.diameter > MAX_DIAMETER:
+            raise FormatError(
+                f"the diameter of the pupil is {self.diameter:g} m",
+                remedy="give the telescope's, in metres",
+                got=self.diameter,
+            )
+
+
+def centred(layout: Layout) -> tuple[Array, Array]:
+    """Return (n,) x and y [m]; those of a single segment relative to its centre."""
+    if layout.segment is None or layout.segments:
+        return layout.x, layout.y
+    x, y = (each - 0.5 * (each.min() + each.max()) for each in (layout.x, layout.y))
+    return x, y
+
+
+def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None = None) -> Pupil:
+    """Return the pupil that a mirror fills.
+
+    The default radius [m] is that of the outermost actuator plus half a spacing; the default
+    diameter [m] is magnified as by LBT's secondaries, 4.11 m in the pupil for 0.452 m.
+
+    Raises
+    ------
+    FormatError
+        Invalid diameter or radius.
+    """
+    if radius is None:
+        outermost = float(np.hypot(*centred(layout)).max())
+        radius = outermost * (1.0 + 0.5 * np.sqrt(np.pi / layout.n))
+    return Pupil(radius, 2.0 * LBT_MAGNIFICATION * radius if diameter is None else diameter)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SeenTurbulence:
+    """Turbulence at n actuators of which m are commanded, and two modal bases.
+
+    Attributes
+    ----------
+    atmosphere, pupil
+        The turbulence, and the pupil that the mirror fills.
+    wavefront
+        (n, n) covariance of the wavefront relative to its mean over the commanded [m^2].
+    zernike, karhunen_loeve
+        (m, m) modes, orthonormal on the commanded, one a column.
+    """
+
+    atmosphere: Atmosphere
+    pupil: Pupil
+    wavefront: Array
+    zernike: Array
+    karhunen_loeve: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "wavefront", "zernike", "karhunen_loeve")
+
+    def __repr__(self) -> str:
+        return f"<SeenTurbulence at {len(self.wavefront)} actuators, {self.atmosphere}>"
+
+    @property
+    def fitting_error(self) -> float:
+        """Rms wavefront between the actuators, which no modes correct [m].
+
+        0.28 (d / r0)^(5/3) rad^2 of a continuous face sheet at 500 nm (Hudgin 1977, JOSA 67, 393),
+        with d the spacing of all actuators in the pupil, from the area of each.
+        """
+        spacing = 0.5 * self.pupil.diameter * np.sqrt(np.pi / len(self.wavefront))
+        variance = 0.28 * (spacing / self.atmosphere.fried_parameter) ** (5 / 3)
+        return float(WAVELENGTH / (2 * np.pi) * np.sqrt(variance))
+
+
+def seen_turbulence(
+    layout: Layout, commanded: NDArray[np.bool_], atmosphere: Atmosphere, pupil: Pupil
+) -> SeenTurbulence:
+    """Return the turbulence at the n actuators of a mirror, of which (n,) ``commanded`` are true.
+
+    Raises
+    ------
+    GeometryError
+        Actuators so close to each other that Zernikes do not distinguish them.
+    """
+    x, y = (each / pupil.radius for each in centred(layout))
+    half = 0.5 * pupil.diameter
+    wavefront = wavefront_covariance(half * x, half * y, atmosphere)
+    mean = wavefront @ commanded / np.count_nonzero(commanded)
+    less_mean(wavefront, mean, float(mean[commanded].mean()))
+    karhunen_loeve = overwritten_by_modes(wavefront[np.ix_(commanded, commanded)])
+    zernike = zernike_modes(x[commanded], y[commanded])
+    for values in (wavefront, karhunen_loeve, zernike):
+        values.setflags(write=False)  # so that the record need not copy them
+    return SeenTurbulence(atmosphere, pupil, wavefront, zernike, karhunen_loeve)

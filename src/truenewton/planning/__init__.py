@@ -1,9 +1,8 @@
-"""What a day at the bench will give, before anyone touches glass; sees both towers.
+"""What a campaign will give before it is measured; imports from both towers.
 
-forces      what a plan asks of the mirror: forces, stroke, gap
-outlook     errors, time, and what would change them
-third_load  what a third load would show
-target      what to change for a wanted error
-figures     error against cycles and added weight
-words       in words and numbers: terminal, script
+forces           what a plan asks of the mirror: forces, stroke, gap
+prediction       errors of alpha and of the sensors from noiseless forces
+plan_prediction  errors and time of a plan, a third load, what to change for a target
+figures          error against cycles and added weight
+summary          text for the terminal, values for scripts
 """

@@ -9,10 +9,10 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from truenewton.arrays import Array
 from truenewton.figures.style import ACCENT, FAINT, INK, STYLE, new_figure
-from truenewton.planning.outlook import Curve, Outlook
+from truenewton.planning.plan_prediction import Curve, PlanPrediction
 
 
-def plot_outlook(outlook: Outlook, target: float | None = None) -> Axes:
+def plot_plan(outcome: PlanPrediction, target: float | None = None) -> Axes:
     """Draw the typical error of alpha and its two parts, the plan a dot, a wanted error a line.
 
     Returns
@@ -20,15 +20,15 @@ def plot_outlook(outlook: Outlook, target: float | None = None) -> Axes:
     matplotlib.axes.Axes
         The first of two panels of one figure; without added weights, the only one.
     """
-    plan, by_weight = outlook.ready.plan, outlook.against_weight
+    plan, by_weight = outcome.ready.plan, outcome.against_weight
     heaviest = max(abs(load.added) for load in plan.loads)
     with mpl.rc_context(STYLE):
         count = 2 if by_weight.values.size else 1
         figure = new_figure(0.62)
         panels: list[Axes] = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
         first, *second = panels
-        _panel(first, outlook.against_cycles.values, outlook.against_cycles, plan.cycles, target)
-        better = outlook.reciprocity.against_cycles
+        _panel(first, outcome.against_cycles.values, outcome.against_cycles, plan.cycles, target)
+        better = outcome.reciprocity.against_cycles
         if better.values.size:
             first.plot(
                 better.values, 100 * better.reading_error, "-.", color=INK, linewidth=0.8,

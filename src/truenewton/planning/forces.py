@@ -1,4 +1,4 @@
-"""What a plan asks of the mirror: the forces of its shapes and loads, stroke and gap."""
+"""The forces of the shapes and loads of a plan, its stroke and its gap."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from truenewton.arrays import Array
 from truenewton.bench.simulated.static import START
 from truenewton.errors import LimitExceeded
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.held_glass import HeldGlass, forces_under, weight_on
+from truenewton.mirrors.shell.shell_model import ShellModel, forces_under, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import arms
@@ -22,26 +22,26 @@ from truenewton.statics.arms import arms
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A plan with what the model makes of it.
+    """A plan with the forces that the model of the shell gives.
 
     Attributes
     ----------
     plan, mirror
-        What is planned, its turns known, and for which mirror.
+        The plan with its number of turns, and the mirror.
     glass
-        That of the mirror by the model, held by the enabled actuators.
+        The shell model with the enabled actuators.
     shapes, force
-        (shapes, n) displacements [m] and the commanded forces that they take, loads aside [N].
+        (shapes, n) displacements [m] and their commanded forces without those of the loads [N].
     own, tool
-        (n_enabled,) true forces that hold the flat mirror, its axis vertical, against the weight of
-        glass and magnets, and against each Newton of added weight, along +z as all forces [N].
+        (n_enabled,) true forces that hold the flat mirror, its axis vertical, under the weight of
+        glass and magnets, and per Newton of added weight, along +z as all forces [N].
     given
-        Whether a file gives the shapes as they stand.
+        Whether a file gives the shapes, so that they cannot be scaled.
     """
 
     plan: CampaignPlan
     mirror: Mirror
-    glass: HeldGlass
+    glass: ShellModel
     shapes: Array
     force: Array
     own: Array
@@ -57,7 +57,7 @@ class Prepared:
         return np.asarray((weights - self.mirror.bias_force) / expected_alpha(self.mirror))
 
     def changed(self, plan: CampaignPlan) -> Prepared:
-        """Return the same for a plan that differs in cycles, loads, or stroke and force alike."""
+        """Return the same for other cycles or loads, or stroke and force times one factor."""
         larger = plan.shapes.stroke / self.plan.shapes.stroke
         if larger == 1.0 or self.given:
             return replace(self, plan=plan)
@@ -65,7 +65,7 @@ class Prepared:
 
 
 def prepared(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Prepared:
-    """Let the model say what forces a plan takes; files that it names stand relative to a folder.
+    """Return a plan with its forces; files that it names are relative to a folder.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def prepared(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Prepar
 def prepared_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> list[Prepared]:
     """Return `prepared` of a mirror in one piece, or of each of its segments that differ.
 
-    Every segment carries the loads of the plan, and takes its own shapes.
+    Every segment carries the loads of the plan and has its own shapes.
     """
     bodies = planned_bodies(plan, folder)
     worst = f", the worst of {len(bodies)} that differ" if len(bodies) > 1 else ""
@@ -94,11 +94,8 @@ def _prepared(plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str]
     return Prepared(plan, mirror, glass, shapes, force, *holding(glass), given)
 
 
-def holding(glass: HeldGlass) -> tuple[Array, Array]:
-    """Return what holds a mirror by the model: `Prepared.own` and `tool`, (n_enabled,) each [N].
-
-    It is the simulated bench without its scatter.
-    """
+def holding(glass: ShellModel) -> tuple[Array, Array]:
+    """Return `Prepared.own` and `tool` by the model, (n_enabled,) each [N]."""
     own = weight_on(glass.mirror, glass.mirror.weight)
     tool = replace(own, spread=0.0, force=np.full(3, 1 / 3), local=np.zeros_like(own.local))
     return forces_under(glass, own), forces_under(glass, tool)
@@ -106,7 +103,7 @@ def holding(glass: HeldGlass) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Strain:
-    """What the mirror has to bear.
+    """The largest forces and displacements of a plan.
 
     Attributes
     ----------
@@ -127,16 +124,16 @@ class Strain:
 
 
 def strain(ready: Prepared) -> Strain:
-    """Return what a plan asks of the mirror.
+    """Return the largest forces and displacements of a plan.
 
     Raises
     ------
     LimitExceeded
-        More than the plan itself allows.
+        They exceed the limits of the plan.
     """
     plan, mirror, limits = ready.plan, ready.mirror, ready.plan.limits
     on, alpha = mirror.layout.enabled, expected_alpha(mirror)
-    of_shapes = np.abs(ready.force[:, on]).max(axis=0)  # both signs are taken
+    of_shapes = np.abs(ready.force[:, on]).max(axis=0)  # of both signs
     largest = np.abs(ready.rest_force) + of_shapes
     load_index, actuator_index = np.unravel_index(largest.argmax(), largest.shape)
     force, stroke = float(largest.max()), float(np.abs(ready.shapes).max())
@@ -164,7 +161,7 @@ def strain(ready: Prepared) -> Strain:
 
 
 def within_limits(ready: Prepared) -> bool:
-    """Tell whether a plan asks no more of the mirror than it allows itself."""
+    """Return whether a plan keeps within its own limits."""
     try:
         strain(ready)
     except LimitExceeded:
@@ -179,7 +176,7 @@ def noiseless(ready: Prepared) -> Campaign:
     static = np.zeros((len(plan.loads), layout.n))
     static[:, layout.enabled] = ready.rest_force
     a = arms(layout) * layout.enabled
-    # Less the little by which measured forces, or given shapes, miss A f = 0.
+    # Measured forces and given shapes do not satisfy A f = 0 exactly.
     elastic = ready.force - (ready.force @ a.T) @ np.linalg.pinv(a).T
     return Campaign(
         tuple(

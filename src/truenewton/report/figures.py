@@ -26,8 +26,8 @@ from truenewton.figures.style import (
     plain,
     styled_axes,
 )
-from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import modes_figures
+from truenewton.modal.modal_base import Budget
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.report.budget import error_budget

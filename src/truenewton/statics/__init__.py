@@ -1,8 +1,7 @@
-"""How forces balance (eq. 1): where actuators stand, what hangs on them, their arms and signs.
+"""How forces balance (eq. 1): positions of the actuators, loads, arms and signs.
 
-layout  the actuators: positions, directions, which take part
-groups  rings or segments, by which people see them
-load    what hangs on the mirror, and how it leans
-arms    the arms A and the external load k of A f + k = 0; the only place that knows the signs
+layout  positions and directions of the actuators, their rings or segments
+load    the added weight and the tilt of the mirror
+arms    the arms A and the external load k of A f + k = 0; the only place that defines the signs
 modes   eigenmodes of a stiffness matrix
 """

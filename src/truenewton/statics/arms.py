@@ -1,4 +1,4 @@
-"""Arms and signs: the one place that says how forces balance weight, bias and torques.
+"""Arms and signs: the only place that defines how forces balance weight, bias and torques.
 
 z points up along the optical axis, gravity along -z, forces on the mirror are positive upward;
 weight P and added weight Q are negative. At rest every shape obeys, with f = alpha * c,
@@ -40,7 +40,7 @@ def resultants(layout: Layout, true_force: ArrayLike) -> Array:
 
 
 def enabled_arms(layout: Layout) -> Array:
-    """Return the (3, n_enabled) arms of the actuators that take part."""
+    """Return the (3, n_enabled) arms of the enabled actuators."""
     return np.asarray(arms(layout)[:, layout.enabled])
 
 

@@ -1,4 +1,4 @@
-"""Where the actuators stand and which way they push."""
+"""Positions and directions of the actuators, and their rings or segments."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from truenewton.arrays import Array, freeze, in_units, taking_units
 from truenewton.errors import GeometryError
 
-FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit has slipped
+MAX_DISTANCE = 10.0  # of an actuator from the axis [m]; beyond it the unit is wrong
 UNITS = {
     "id": "", "x": "m", "y": "m", "nz": "", "enabled": "", "x_error": "m", "y_error": "m",
     "segment": "",
 }  # fmt: skip
-MOST_ACTUATORS = 20000
+MAX_ACTUATORS = 20000
 PLACE = ("x", "y", "nz")
-SAME_PLACE = 1e-6  # [m], and of NZ: what four bytes, or a table of few digits, leave of them
+POSITION_TOLERANCE = 1e-6  # [m], and of NZ: the precision of four bytes, or of short tables
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,11 +35,11 @@ class Layout:
     nz
         (n,) cosine between the force of each actuator and +z; 1 on a flat mirror.
     enabled
-        (n,) false where an actuator applies no force and takes no part.
+        (n,) false if an actuator applies no force.
     x_error, y_error
-        (n,) standard uncertainties of x and y [m]; None where none is declared.
+        (n,) standard uncertainties of x and y [m]; None if not declared.
     segment
-        (n,) number of the segment that each stands behind, from 1; None of a mirror in one piece.
+        (n,) number of the segment of each actuator, from 1; None for a mirror in one piece.
 
     Raises
     ------
@@ -84,9 +84,9 @@ class Layout:
                 )
         if self.n == 0:
             raise GeometryError("there are no actuators", remedy="give at least one")
-        if self.n > MOST_ACTUATORS:  # matrices of so many by so many fill no memory that there is
+        if self.n > MAX_ACTUATORS:  # matrices of so many by so many fill no memory that there is
             raise GeometryError(
-                f"there are {self.n} actuators", remedy=f"give {MOST_ACTUATORS} at most"
+                f"there are {self.n} actuators", remedy=f"give {MAX_ACTUATORS} at most"
             )
         if not self.enabled.any():
             raise GeometryError(
@@ -101,14 +101,14 @@ class Layout:
                 )
         for name in errors:
             error = getattr(self, name)
-            if not (np.isfinite(error) & (error >= 0.0) & (error < FARTHEST)).all():
+            if not (np.isfinite(error) & (error >= 0.0) & (error < MAX_DISTANCE)).all():
                 raise GeometryError(
                     f"E_{name[0].upper()} is negative or not finite",
                     remedy="give standard uncertainties in m",
                 )
         far = np.maximum(np.abs(self.x), np.abs(self.y))
-        if far.max() > FARTHEST:
-            beyond = self.id[far > FARTHEST]
+        if far.max() > MAX_DISTANCE:
+            beyond = self.id[far > MAX_DISTANCE]
             who = f"actuator {beyond[0]}" if beyond.size == 1 else "an actuator"
             raise GeometryError(
                 f"{who} stands {far.max():.3g} m from the axis",
@@ -149,21 +149,21 @@ class Layout:
 
     @property
     def segments(self) -> tuple[int, ...]:
-        """Numbers of the segments in ascending order; none of a mirror in one piece."""
+        """Numbers of the segments in ascending order; none for a mirror in one piece."""
         numbers = () if self.segment is None else np.unique(self.segment).tolist()
         return tuple(numbers) if len(numbers) > 1 else ()
 
     def part(self, chosen: NDArray[Any]) -> Layout:
-        """Return the actuators that are chosen, (n,) true or their indices."""
+        """Return the chosen actuators, (n,) true or their indices."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{k: v[chosen] for k, v in columns.items() if v is not None})
 
     def same_as(self, other: Layout) -> bool:
-        """Tell whether the actuators are the same and the same ones are enabled."""
+        """Return whether actuators and enabled ones are the same."""
         return not self.difference(other)
 
     def difference(self, other: Layout) -> str:
-        """Say in what another layout, named first, differs from this one; '' if in nothing."""
+        """Describe the difference of another layout, named first, from this one, or return ''."""
         if differ := self.other_actuators(other) or self._unlike(other, "enabled"):
             return differ
         if self.segments != other.segments:
@@ -171,9 +171,9 @@ class Layout:
         return self._unlike(other, "segment") if self.segments else ""
 
     def other_actuators(self, other: Layout) -> str:
-        """Say which actuator of another layout, named first, is not that of this one, or ''.
+        """Describe the first actuator of another layout, named first, that differs, or return ''.
 
-        Their order counts, and places to `SAME_PLACE`; not which are enabled.
+        Order and places to `POSITION_TOLERANCE` are compared, not which are enabled.
         """
         if self.n != other.n:
             return f"{other.n} and {self.n} actuators"
@@ -184,13 +184,10 @@ class Layout:
         return next(filter(None, (self._unlike(other, name) for name in names)), "")
 
     def _unlike(self, other: Layout, name: str) -> str:
-        """Say where a column differs first, or most where it is of places, and by how much; or ''.
-
-        Of what is beyond `SAME_PLACE`; in metres to 0.1 um.
-        """
+        """Describe the first difference of a column, for places the largest, or return ''."""
         one, two = (getattr(each, name).astype(float) for each in (other, self))
         apart = np.abs(one - two)
-        unlike = int(np.count_nonzero(apart > (SAME_PLACE if name in PLACE else 0.0)))
+        unlike = int(np.count_nonzero(apart > (POSITION_TOLERANCE if name in PLACE else 0.0)))
         if not unlike:
             return ""
         least = 0.999 * apart.max() if name in PLACE else 0.0  # the first, where all move alike
@@ -218,7 +215,7 @@ def layout(
     y_error: ArrayLike | None = None,
     segment: ArrayLike | None = None,
 ) -> Layout:
-    """Make a layout; names count from 1, forces point along +z, all enabled, unless told.
+    """Make a layout; by default names count from 1, forces point along +z, all are enabled.
 
     Parameters
     ----------
@@ -229,16 +226,16 @@ def layout(
     nz
         (n,) cosines between the forces and +z.
     enabled
-        (n,) false where an actuator takes no part.
+        (n,) false if an actuator applies no force.
     x_error, y_error
-        (n,) standard uncertainties of x and y, as these.
+        (n,) standard uncertainties of x and y.
     segment
-        (n,) numbers of the segments of which the actuators are; one unless told.
+        (n,) numbers of the segments; by default the mirror is in one piece.
 
     Raises
     ------
     GeometryError
-        What cannot be a layout.
+        See `Layout`.
 
     Examples
     --------
@@ -267,7 +264,7 @@ def rings(
     nz: Sequence[float] = (),
     turned: Sequence[float] = (),
 ) -> Layout:
-    """Lay actuators evenly on concentric rings, one of each ring on the +y axis.
+    """Make a layout of concentric rings, with one actuator of each ring on the +y axis.
 
     Numbered from the innermost ring outward, counter-clockwise from +y. With counts divisible by
     three this has the 120 degree symmetry of the paper's mirror (paper, section 2).
@@ -279,9 +276,9 @@ def rings(
     counts
         Actuators on each ring.
     nz
-        Cosine between force and +z on each ring; 1 when not given.
+        Cosine between force and +z on each ring; by default 1.
     turned
-        Angle by which each ring is turned, counter-clockwise [rad]; 0 when not given.
+        Rotation of each ring, counter-clockwise [rad]; by default 0.
 
     Examples
     --------
@@ -305,10 +302,10 @@ def spherical_rings(
     *,
     turned: Sequence[float] = (),
 ) -> Layout:
-    """Lay rings on a spherical shell whose actuators push along its normals.
+    """Make a layout of rings on a spherical shell whose actuators push along its normals.
 
-    An actuator at polar angle t has nz = cos t and stands, for the torques, on the circle of
-    radius R sin t: the exact arms for piston and tilts about the vertex (docs/method.md).
+    An actuator at polar angle t has nz = cos t and, for the torques, the radius R sin t: the exact
+    arms for piston and tilts about the vertex (docs/method.md).
 
     Parameters
     ----------
@@ -329,3 +326,43 @@ def spherical_rings(
     """
     t = np.asarray(polar_angles, dtype=float)
     return rings(list(radius * np.sin(t)), counts, nz=list(np.cos(t)), turned=turned)
+
+
+def ring_centre(layout: Layout) -> tuple[float, float]:
+    """Return x and y of the centre of the rings [m]: the origin, or the mean position of actuators.
+
+    The latter is used for a segment off the axis, if it makes fewer rings.
+    """
+    own = float(layout.x.mean()), float(layout.y.mean())
+    return min(((0.0, 0.0), own), key=lambda centre: int(_radius_number(layout, centre).max()))
+
+
+def ring_of(layout: Layout) -> NDArray[np.int64]:
+    """Return (n,) rings of the actuators about `ring_centre`, 0 the innermost, radii to 0.1 mm.
+
+    All are 0 if there are no rings: as many radii as half the actuators.
+    """
+    ring = _radius_number(layout, ring_centre(layout))
+    return ring if ring.max() < layout.n // 2 else np.zeros(layout.n, dtype=np.int64)
+
+
+def _radius_number(layout: Layout, centre: tuple[float, float]) -> NDArray[np.int64]:
+    """Return (n,) number of the radius of each actuator, 0 the smallest."""
+    radius = np.hypot(layout.x - centre[0], layout.y - centre[1])
+    order = np.argsort(radius, kind="stable")
+    steps = np.diff(radius[order], prepend=radius[order[0]]) > 1e-4
+    number = np.empty(layout.n, dtype=np.int64)
+    number[order] = np.cumsum(steps)
+    return number
+
+
+def group_of(layout: Layout) -> NDArray[np.int64]:
+    """Return (n,) number of the group of each actuator, see `group_name`, from 0."""
+    if layout.segments:
+        return np.searchsorted(layout.segments, np.asarray(layout.segment))
+    return ring_of(layout)
+
+
+def group_name(layout: Layout) -> str:
+    """Return the kind of groups: 'segment', or 'ring' of a single body."""
+    return "segment" if layout.segments else "ring"

@@ -1,4 +1,4 @@
-"""What hangs on the mirror and how it leans, and what a weight may be."""
+"""The added weight and the tilt of the mirror, and the limits of weights."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ UNITS = {"added": "N", "added_error": "N", "tilt": "deg", "tilt_error": "deg"}
 
 @dataclass(frozen=True)
 class Load:
-    """What hangs on the mirror, and how it leans; Quantities are converted.
+    """The added weight and the tilt of the mirror; Quantities are converted.
 
     Attributes
     ----------
     name
-        'bare', 'ring', ...; case and surrounding blanks do not count.
+        'bare', 'ring', ...; case and surrounding blanks are ignored.
     added, added_error
         Q and its standard uncertainty [N]; Q is negative, 0 for the bare mirror.
     tool
-        Name of the weight; loads with the same tool share one error of their weight.
+        Name of the weight; loads with the same tool have a common error of their weight.
     tilt, tilt_error
         Angle between optical axis and vertical, and its standard uncertainty [deg].
 
@@ -51,7 +51,7 @@ class Load:
 
 
 def check_load(load: Load) -> None:
-    """Refuse a load that cannot be.
+    """Refuse an invalid load.
 
     Raises
     ------
@@ -69,17 +69,17 @@ def check_load(load: Load) -> None:
 
 
 def check_weight(name: str, weight: float) -> None:
-    """Refuse a weight that is absurd [N]."""
+    """Refuse a weight beyond `LARGEST_FORCE` [N]."""
     check_number(name, weight, abs(weight) <= LARGEST_FORCE, "give the weight in Newton", " N")
 
 
 def check_error(name: str, error: float) -> None:
-    """Refuse a standard uncertainty that cannot be."""
+    """Refuse an invalid standard uncertainty."""
     remedy = "give a standard uncertainty, zero or more, in N or deg"
     check_number(name, error, 0.0 <= error <= LARGEST_FORCE, remedy)
 
 
 def check_number(name: str, value: float, sound: bool, remedy: str, unit: str = "") -> None:
-    """Refuse a keyword's number that is not sound."""
+    """Refuse an invalid number of a keyword."""
     if not sound:
         raise FormatError(f"{name} is {value:g}{unit}", remedy=remedy, got=value)

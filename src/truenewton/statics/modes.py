@@ -27,15 +27,14 @@ class StiffnessModes:
 
 
 def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessModes:
-    """Return the eigenmodes of a symmetric (n, n) stiffness, those that take least force first.
+    """Return the eigenmodes of a symmetric (n, n) stiffness by ascending magnitude.
 
-    That is by magnitude: bias magnets make the stiffness of rigid motions negative, errors of
-    measurement that of soft modes. On large mirrors rigid motions may thus cost more than the
-    softest bending; where they shall come first all the same, ``rigid``, (n, r), names them, and
-    the r modes that lie most in their span do. Of nearly equal stiffness, they are turned among
-    themselves towards the names, in their order: piston stays piston.
+    Bias magnets make the stiffness of rigid motions negative, errors of measurement that of soft
+    modes. On large mirrors rigid motions may be stiffer than the softest bending. With (n, r)
+    ``rigid`` motions, the r modes nearest to their span come first, and are rotated within their
+    span towards these motions, in their order: piston stays piston.
 
-    A symmetric mirror has pairs of equal stiffness, which are settled: see `settled`.
+    Bases of modes of equal stiffness are chosen by `settled`.
     """
     values, vectors = eigenvectors(symmetrised(np.array(stiffness)))
     order = np.argsort(np.abs(values), kind="stable")
@@ -58,10 +57,9 @@ def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessMo
 
 
 def scaled_modes(modes: Array, stiffness: Array, stroke: float, force: Array | float) -> Array:
-    """Return (m, n) modes, one a row, as large as stroke and force allow [m].
+    """Return (m, n) modes, one a row, scaled to the largest stroke [m] and force, (n,) or one [N].
 
-    The stroke is the largest displacement of an actuator [m], the force the largest one, one or
-    (n,) [N], and (n, n) stiffness the force per displacement [N/m].
+    The (n, n) stiffness is the force per displacement [N/m].
     """
     taken = np.maximum(np.abs(modes @ stiffness.T), 1e-12 * np.max(force))
     largest = np.abs(modes).max(axis=1)
@@ -70,18 +68,10 @@ def scaled_modes(modes: Array, stiffness: Array, stroke: float, force: Array | f
 
 
 def settled(vectors: Array, values: Array) -> Array:
-    """Turn eigenvectors so that rounding chooses neither sign nor rotation, in place; return them.
+    """Choose signs and rotations of (n, k) eigenvectors independently of rounding; in place.
 
-    Among equal eigenvalues rounding would choose the vectors. So each set of equals gets the basis
-    nearest to fixed random vectors: the same on every machine, to rounding. That settles the signs
-    as well.
-
-    Parameters
-    ----------
-    vectors
-        (n, k), one of unit length a column.
-    values
-        (k,) their eigenvalues, equals beside each other.
+    Each set of equal eigenvalues, adjacent in (k,) values, gets the basis nearest to fixed random
+    vectors, which is the same on every machine. The vectors are also returned.
     """
     rounding = 1e-11 * np.abs(values).max() + 1e-6 * np.abs(values[1:])
     apart = np.abs(np.diff(values)) > rounding

@@ -9,7 +9,7 @@ import truenewton as tn
 from helpers.balanced import changed
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.shell.held_glass import forces_under, weight_on
+from truenewton.mirrors.shell.shell_model import forces_under, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
 

@@ -40,9 +40,8 @@ from truenewton.estimation.reciprocity.sensor_model import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Kind, Request, Values
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import mmt336, p45, ring
-from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.puck_motion import puck_motion
-from truenewton.mirrors.sight import motion_for
+from truenewton.mirrors.sensor_model import puck_motion, sensor_model
+from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
@@ -70,7 +69,7 @@ def noisy_stiffness(seed, level, *, flat=False, gain=0.02, offset=5e-4):
 
 @cache
 def p45_motion():
-    return motion_for(p45(), p45().layout)
+    return sensor_model(p45(), p45().layout)
 
 
 def by_a_glass(places):
@@ -232,7 +231,7 @@ def test_with_a_model_of_the_glass_annuli_off_their_magnets_are_exact():
     assert of_kept < 5e-4 < 3e-3 < of_kept_by_plate
     # A sensor as wide as its puck touches it when it moves: then the plate tells of places.
     alike = replace(p45(), puck_radius=8e-3)
-    assert motion_for(alike, layout).shape == (1, layout.n, layout.n)
+    assert sensor_model(alike, layout).shape == (1, layout.n, layout.n)
 
 
 @pytest.mark.study
@@ -289,7 +288,7 @@ def plate_matrix(seed, *, gain=0.004, noise=30.0, offset=5e-4):
 def test_errors_hold_where_soft_modes_are_lost_in_noise():
     # Were it shared by halves, the error would be half as large again and a fifth left uncovered.
     mirror, errors, stated, inside = ring(114), [], [], []
-    stiffness = held_glass(mirror).stiffness
+    stiffness = model_shell(mirror).stiffness
     for seed in range(3):
         random = np.random.default_rng([seed, 3])
         values = drawn(random, 114)
@@ -369,7 +368,7 @@ def test_the_glass_goes_with_reciprocity_and_its_own_mirror_and_a_population_wit
     with pytest.raises(UnknownName, match="ml does not ask"):
         calibrate(p45_campaign(), "ml", motion=np.eye(45))
     with pytest.raises(CampaignMismatch, match="actuators of P45"):
-        motion_for(p45_bench().mirror, rings([0.06, 0.1], [5, 9]))
+        sensor_model(p45_bench().mirror, rings([0.06, 0.1], [5, 9]))
     with pytest.raises(UnknownName, match="population"):
         calibrate(p45_campaign(), "reciprocity", population=True)
 

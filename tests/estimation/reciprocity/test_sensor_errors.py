@@ -7,7 +7,7 @@ from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.unknowns import Kind
 from truenewton.mirrors.known import ring
-from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.statics.arms import comparable_arms
 
 LAWS = ("equal", "proportional", "by sensor")
@@ -18,7 +18,7 @@ CASES = [("equal", 3), *(pytest.param(law, 5, marks=pytest.mark.study) for law i
 def test_errors_of_alpha_and_sensors_are_valid_whatever_law_the_noise_follows(law, seeds):
     """By the fit's own covariance they were too small, and too large for equal noise."""
     mirror, n = ring(36), 36
-    true = held_glass(mirror).stiffness
+    true = model_shell(mirror).stiffness
     true = 0.5 * (true + true.T)
     squares = []
     for seed in range(seeds):

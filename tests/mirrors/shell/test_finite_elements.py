@@ -9,10 +9,14 @@ import pytest
 from helpers.shells import FLAT, SPHERE, TILTS, X, Y, meshed_stiffness, stiffness
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Outline
-from truenewton.mirrors.shell.finite_elements.argyris import argyris, monomials, quadrature
-from truenewton.mirrors.shell.finite_elements.energy import elastic_energy
-from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
-from truenewton.mirrors.shell.finite_elements.outline import checked_sides
+from truenewton.mirrors.shell.finite_elements.mesh import shell_mesh
+from truenewton.mirrors.shell.finite_elements.meshed_shell import (
+    argyris,
+    elastic_energy,
+    monomials,
+    quadrature,
+)
+from truenewton.mirrors.shell.finite_elements.outline import checked_polygons
 
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 NONE = np.zeros(0)
@@ -276,4 +280,4 @@ def test_refused(change, words):
 )
 def test_refused_outlines(outline, holes, words):
     with pytest.raises(GeometryError, match=words):
-        checked_sides([outline, *holes], 20e-3)
+        checked_polygons([outline, *holes])

@@ -25,7 +25,7 @@ from helpers.shells import (
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import lbt672, p45
-from truenewton.mirrors.shell.condensation import rearming, rigid_motions
+from truenewton.mirrors.shell.shell_model import rearming, rigid_motions
 from truenewton.reading import read_data
 from truenewton.statics.arms import arms
 

@@ -17,7 +17,7 @@ from truenewton.bench.simulated.truth import SegmentTruth, Truth
 from truenewton.errors import BenchFault
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
-from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass
+from truenewton.mirrors.shell.shell_model import ShellModel, model_shell
 from truenewton.records.cycle import Cycle
 from truenewton.records.segment import Segment, sums_of
 from truenewton.statics.arms import effective_weight, external_load
@@ -51,9 +51,9 @@ def segmented_bench(
     mirror: SegmentedMirror, seed: int, *, force_noise: float, temperature: float
 ) -> SegmentedBench:
     """Draw the truth of each segment, under the bare mirror and its own tool, as `static_bench`."""
-    glasses: dict[int, HeldGlass] = {}
+    glasses: dict[int, ShellModel] = {}
     for part, alike in mirror.kinds:
-        glasses |= dict.fromkeys(alike, held_glass(part))
+        glasses |= dict.fromkeys(alike, model_shell(part))
     benches = [
         static_bench(
             segment,

@@ -38,16 +38,16 @@ from truenewton.bench.simulated.loop import (
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.air_film import film_damping
-from truenewton.mirrors.shell.held_glass import (
+from truenewton.mirrors.shell.dynamics import film_damping, moving_mass
+from truenewton.mirrors.shell.shell_model import (
     ExternalForces,
-    HeldGlass,
+    ShellModel,
     external_resultants,
     forces_under,
-    held_glass,
+    model_shell,
+    static_shapes,
     weight_on,
 )
-from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
 from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
 from truenewton.statics.modes import scaled_modes, stiffness_modes
@@ -82,7 +82,7 @@ class StaticBench:
 
     mirror: Mirror
     truth: Truth
-    glass: HeldGlass
+    glass: ShellModel
     coils: Coils
     sensors: Sensors
     loads: tuple[Load, ...]
@@ -101,7 +101,7 @@ def static_bench(
     force_limit: float = 0.4,
     force_noise: float = 1e-4,
     temperature: float = REFERENCE_TEMPERATURE,
-    glass: HeldGlass | None = None,
+    glass: ShellModel | None = None,
 ) -> StaticBench:
     """Draw the truth of a mirror and plan its stiffness modes within stroke and force.
 
@@ -143,7 +143,7 @@ def static_bench(
     alpha = random.uniform(*mirror.alpha_range, n)
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
-    glass = glass or held_glass(mirror)
+    glass = glass or model_shell(mirror)
     added, tilt, external = _drawn_loads(mirror, loads, weight, bias, random)
     load_force = np.array([forces_under(glass, each) for each in external])
     k = np.array([external_resultants(mirror, each) for each in external])

@@ -20,5 +20,4 @@ docs/reciprocity.md. The files, in the order in which data pass through them:
     acceptance    whether reciprocity holds, and what it finds of the sensors
     campaign      a campaign: relative alpha by reciprocity, the scale from the weights
     matrix        a stiffness matrix alone, modes held out
-    prediction    what it will state of a campaign, before a reading is taken
 """

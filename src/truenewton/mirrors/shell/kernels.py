@@ -35,10 +35,10 @@ from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus
 
-SERIES_BELOW = 2.0  # lambda; kei is at home above, its series in lambda rho below
+SERIES_BELOW = 2.0  # lambda; kei is used above, its series in lambda rho below
 EULER_ROOT = np.exp(0.25j * np.pi)  # sqrt(i)
 CIRCLES = 12  # Gauss points in the radius of an annulus
-TOUCHING = 1e-9  # of a circle within another, in units of b
+CIRCLE_TOLERANCE = 1e-9  # of a circle within another, in units of b
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Circles:
     inner, outer
         Its radii.
     radii, shares
-        Of the circles, Gauss points, and of the area that each stands for.
+        Radii of the circles, Gauss points, and their shares of the area.
     """
 
     inner: float
@@ -86,7 +86,7 @@ class Circles:
         return cls(inner, outer, radii, gauss * radii / (gauss @ radii))
 
     def mean(self, shallowness: float) -> Mean:
-        """Return the mean over the annulus of a w that is regular within."""
+        """Return the mean over the annulus of a w that is regular inside."""
         over = mean_over_circle(self.radii, shallowness)
         return Mean(over.first @ self.shares, over.second @ self.shares)
 
@@ -108,7 +108,7 @@ class Kernel:
 
     def fields(self, rho: Array) -> tuple[Array, Array]:
         """Return w and lap w at distances from a point force, (..., n) each, in units of b."""
-        rho = np.maximum(rho, 1e-100)  # w(0) is finite; lap w(0) is not and goes unused
+        rho = np.maximum(rho, 1e-100)  # w(0) is finite; lap w(0) is not, and is not used
         if self.shallowness >= SERIES_BELOW:
             k = kv(0, EULER_ROOT * self.shallowness * rho)
             return -k.imag / (2 * np.pi * self.shallowness**2), -k.real / (2 * np.pi)
@@ -127,7 +127,7 @@ class Kernel:
     def _series(self, rho: Array, kind: int, derivative: int) -> Array:
         """Sum w (kind 1) or lap w (kind 0): the parts of -K_0, but for regular solutions, in rho.
 
-        Of the slope of lap w the first term, 1 / (2 pi rho), is left away, which makes it Phi's.
+        The first term of the slope of lap w, 1 / (2 pi rho), is omitted, which makes it Phi's.
         """
         log = np.log(rho) + 1
         total = np.zeros_like(rho)
@@ -160,14 +160,14 @@ class Kernel:
         w, lap = self.spread(*self.fields(rho), puck)
         if sensor is None:
             inside = rho < self.puck_radius
-            if inside.any():  # the circle round the force and the one round the point change roles
+            if inside.any():  # the circles round the force and round the point change roles
                 round_force = mean_over_circle(rho[inside], self.shallowness)
                 w[inside] = self.spread(*self.fields(np.array(self.puck_radius)), round_force)[0]
             return w
         mean = self.spread(w, lap, sensor.mean(self.shallowness))[0]
         near = rho < self.puck_radius + sensor.outer
         # Round a puck, centred or not, each circle changes roles with that round the force.
-        own = rho + self.puck_radius < sensor.inner + TOUCHING
+        own = rho + self.puck_radius < sensor.inner + CIRCLE_TOLERANCE
         if (near & ~own).any():
             raise GeometryError(
                 "a sensor lies over the place where a force acts",
@@ -180,7 +180,7 @@ class Kernel:
         return mean
 
     def edge_tractions(self, s: Array, edge: float, nu: float, samples: int) -> Array:
-        """Return (samples // 2 + 1, 2 or 4, forces) harmonics of what is left on an edge.
+        """Return (samples // 2 + 1, 2 or 4, forces) harmonics of the tractions on an edge.
 
         On the circle of radius ``edge`` [m], for forces at radii s [m] and angle 0: the moment
         k_r + nu k_t and Kirchhoff's shear d(lap)/dr + (1 - nu) d(k_rt)/(r dt), and on a curved
@@ -193,7 +193,7 @@ class Kernel:
         radial, across = radial / rho, across / rho
         puck = mean_over_circle(self.puck_radius, self.shallowness)
         fourth = self.shallowness**4
-        # Phi and lap w differ by the field of ln(rho), which has no Laplacian to change its mean.
+        # Phi and lap w differ by the field of ln(rho), whose Laplacian is 0.
         w, lap = self.spread(*self.fields(rho), puck)
         dw, dphi = self.slopes(rho)
         dw, dphi = (

@@ -7,7 +7,7 @@ chapters 9 and 15). Rigid motions, w = 1, x, y with quadratic u, are in the elem
 
 Lengths are in units of b, w in units of b^2 / D per newton, u in units of b / (R stretch) of those
 of w: with the root of the membrane's stiffness in it, its matrix is the same for every curvature
-and couples ever less to bending as the shell gets flat. On a flat plate u is left away.
+and couples ever less to bending as the shell gets flat. On a flat plate there is no u.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from truenewton.arrays import Array
 def graded_nodes(hole: float, force_radius: Array, shallowness: float) -> Array:
     """Return the (nodes,) radii between elements [b], which double in width away from both edges.
 
-    What is left is smooth up to the images of the forces in the edges, at hole^2/s and 1/s.
-    Elements no wider than their distance from those all converge at one rate, 3 + sqrt(8) per
-    order; none is wider than four decay lengths of bending at the edges.
+    The remainder is smooth up to the images of the forces in the edges, at hole^2/s and 1/s.
+    Elements no wider than their distance from those converge at one rate, 3 + sqrt(8) per order;
+    none is wider than four decay lengths of bending at the edges.
     """
     inner_image, outer_image = hole**2 / force_radius.min(), 1 / force_radius.max()
     widest = 4 / shallowness if shallowness else np.inf
@@ -172,16 +172,16 @@ class RadialElements:
     def responses(self, harmonics: Array, loads: Array) -> Array:
         """Return (harmonics, elements, unknowns, n_loads): the shell under loads.
 
-        In the harmonics 0 and 1 the glass stands on springs at its outer edge, along w and V, which
-        balanced loads leave unloaded.
+        In the harmonics 0 and 1, springs hold the glass at its outer edge along w and V; balanced
+        loads do not load them.
 
         Parameters
         ----------
         harmonics
             (harmonics,) m.
         loads
-            (elements, unknowns, n_loads) work of each load on each unknown; what two elements
-            share, in either.
+            (elements, unknowns, n_loads) work of each load on each unknown; for unknowns of two
+            elements in either.
         """
         shared, elements, n = 2 * self.at_node, self.nodes.size - 1, self.at_node
         powers = harmonics[:, None] ** np.arange(5)

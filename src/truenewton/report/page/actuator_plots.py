@@ -48,8 +48,7 @@ from truenewton.figures.maps import (
 from truenewton.figures.style import ACCENT, ALARM, CROWDED, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
-from truenewton.statics.groups import group_name, group_of, ring_centre
-from truenewton.statics.layout import Layout
+from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
 
 FONT = "system-ui, sans-serif"
 Plot = Any  # a figure of Bokeh, whose stubs lack many options

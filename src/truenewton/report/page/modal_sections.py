@@ -10,7 +10,7 @@ from truenewton.calibration.words import as_sentences
 from truenewton.modal.figures import chosen_modes
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
-from truenewton.modal.words import (
+from truenewton.modal.summary import (
     comparison_text,
     cost_rows,
     fitting_error_text,

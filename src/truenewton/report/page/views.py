@@ -24,8 +24,7 @@ from truenewton.report.page.actuator_plots import (
     mirror_map,
 )
 from truenewton.rounding import counted, percent, to_digits
-from truenewton.statics.groups import group_name, ring_of
-from truenewton.statics.layout import Layout
+from truenewton.statics.layout import Layout, group_name, ring_of
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,44 @@
-"""Triangles over a glass."""
+"""A mesh over a glass of any outline, with a vertex at every actuator.
+
+A hexagonal lattice, relaxed between the boundary and the actuators (optimal Delaunay
+triangulation: L. Chen, Proc. 13th Int. Meshing Roundtable, 2004, p. 109), then refined until no
+angle is small (J. Ruppert, J. Algorithms 18, 1995, p. 548): sides that another vertex crowds are
+halved, and bad triangles get a vertex at the centre of their circle. Delaunay's triangulation is
+scipy's.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
+from truenewton.mirrors.glass import Shell, check_shell
+from truenewton.mirrors.shell.finite_elements.outline import (
+    check_mesh_size,
+    checked_places,
+    checked_polygons,
+    inside,
+    polygon_of,
+    sides_of,
+)
+
+if TYPE_CHECKING:
+    from shapely import Polygon, STRtree
 
 Indices = NDArray[np.int64]
+MIN_ANGLE = 25.0  # of a triangle [deg]
+MAX_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
+RELAXATIONS = 12
+MESH_SIZE = 1 / 3  # mesh size, in spacings
+MAX_MESH_SIZE = 1 / 4  # in outer radii
+MAX_ROUNDS = 300  # of refinement; some ten are usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +63,7 @@ class Mesh:
 
     @cached_property
     def edge_of(self) -> Indices:
-        """(n_triangles, 3) the edges from vertex 0 to 1, 1 to 2 and 2 to 0 of each triangle."""
+        """(n_triangles, 3) the edges from vertex 0 to 1, 1 to 2 and 2 to 0."""
         return self._edges_and_indices[1]
 
     @cached_property
@@ -62,29 +88,199 @@ class Mesh:
         return np.asarray(0.5 * np.linalg.det(self.corners[:, 1:] - self.corners[:, :1]))
 
     def triangle_at(self, places: Array) -> Indices:
-        """Return (n,) the triangle around each of (n, 2) places, beside it past a round edge.
+        """Return (n,) the triangle around each of (n, 2) places, or the nearest at a round edge.
 
         Raises
         ------
         GeometryError
             A place further off the triangles than a circle is from its polygon.
         """
-        triangle = np.asarray(self._finder(*places.T), dtype=np.int64)
-        along = np.roll(self.corners, -1, axis=1) - self.corners
-        for i in np.flatnonzero(triangle < 0):
-            areas = np.linalg.det(np.stack([along, places[i] - self.corners], axis=2))
-            depth = (areas / np.linalg.norm(along, axis=2)).min(axis=1)  # inward from all sides
-            triangle[i] = depth.argmax()
-            if not depth.max() > -0.05 * self.size:
-                x, y = places[i]
-                raise GeometryError(
-                    f"point {i} at x = {x:.6g} m, y = {y:.6g} m is off the glass",
-                    remedy="bring it within the edges",
-                )
+        import shapely
+
+        points, triangle = shapely.points(places), np.full(len(places), -1)
+        found, around = self._tree.query(points, predicate="intersects")
+        triangle[found] = around
+        off = np.flatnonzero(triangle < 0)
+        triangle[off] = self._tree.nearest(points[off])
+        gaps = shapely.distance(self._tree.geometries[triangle[off]], points[off])
+        for i in off[~(gaps < 0.05 * self.size)]:
+            x, y = places[i]
+            raise GeometryError(
+                f"point {i} at x = {x:.6g} m, y = {y:.6g} m is off the glass",
+                remedy="bring it within the edges",
+            )
         return triangle
 
     @cached_property
-    def _finder(self) -> Any:
-        from matplotlib.tri import Triangulation  # half a second that rings do not wait for
+    def _tree(self) -> STRtree:
+        import shapely
 
-        return Triangulation(self.points[:, 0], self.points[:, 1], self.triangles).get_trifinder()
+        return shapely.STRtree(shapely.polygons(self.corners))
+
+
+def mesh_size_of(shell: Shell, x: Array, y: Array) -> float:
+    """Return the length of the elements' sides [m]: that of the outline, or by (n,) actuators.
+
+    It is a third of their spacing, at most a fourth of the outer radius.
+    """
+    if shell.outline is not None and shell.outline.mesh_size is not None:
+        return shell.outline.mesh_size
+    coarsest = MAX_MESH_SIZE * shell.outer_radius
+    if np.size(x) < 2:
+        return coarsest
+    places = np.stack([x, y], axis=1)
+    gaps = np.asarray(cKDTree(places).query(places, k=2)[0])
+    spacing = float(np.median(gaps[:, 1]))
+    return min(MESH_SIZE * spacing, coarsest)
+
+
+def shell_mesh(shell: Shell, x: Array, y: Array, *, mesh_size: float) -> Mesh:
+    """Mesh a glass; the edges of a ring are polygons of the circles' areas.
+
+    Parameters
+    ----------
+    shell
+        A ring or outlined; an inner radius of 0 means a full disc.
+    x, y
+        (n,) positions of the actuators along the glass [m].
+    mesh_size
+        Length of the triangles' sides [m], shorter where actuators crowd.
+
+    Raises
+    ------
+    GeometryError
+        An invalid shell, mesh size, outline or place of an actuator, see `outline`.
+    """
+    check_shell(shell)
+    polygons = shell.polygons()
+    if shell.outline is None:
+        radii = shell.outer_radius, shell.inner_radius
+        polygons = [_circle(radius, mesh_size) for radius in radii if radius > 0]
+    loops = checked_polygons(polygons)
+    check_mesh_size(loops, mesh_size)
+    places = checked_places(loops, x, y, mesh_size)
+    rims = [_divided(loop, mesh_size) for loop in loops]
+    fixed = np.concatenate([places, *rims])
+    numbers = np.split(np.arange(len(fixed)), np.cumsum([len(places), *map(len, rims)]))
+    sides = np.stack(sides_of(numbers[1:-1]), axis=1)
+    glass = polygon_of(loops)
+    points = _relaxed(fixed, _lattice(loops[0], mesh_size), glass, mesh_size)
+    return _refined(points, sides, glass, mesh_size)
+
+
+def _circle(radius: float, mesh_size: float) -> Array:
+    """Return a polygon with the area of a circle."""
+    finest = radius / 150  # sides are divided later, and sizes too small refused
+    count = max(16, int(np.ceil(2 * np.pi * radius / max(finest, mesh_size))))
+    step = 2 * np.pi / count
+    angle = step * np.arange(count)
+    corner = radius * np.sqrt(step / np.sin(step))
+    return np.asarray(corner * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+def _divided(loop: Array, mesh_size: float) -> Array:
+    """Return the vertices of a polygon with its sides divided evenly."""
+    starts, ends = sides_of([loop])
+    parts = np.ceil(np.linalg.norm(ends - starts, axis=1) / mesh_size - 1e-9).astype(int)
+    return np.concatenate([
+        np.linspace(start, end, part, endpoint=False)
+        for start, end, part in zip(starts, ends, parts, strict=True)
+    ])  # fmt: skip
+
+
+def _lattice(outline: Array, mesh_size: float) -> Array:
+    """Return hexagonal lattice points over the box of the outline."""
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    row = mesh_size * np.sqrt(0.75)
+    columns, rows = np.ceil((high - low) / [mesh_size, row]).astype(int) + 1
+    across, up = np.meshgrid(np.arange(columns), np.arange(rows))
+    lattice = np.stack([mesh_size * (across + 0.5 * (up % 2)), row * up], axis=-1)
+    return np.asarray(low + lattice.reshape(-1, 2))
+
+
+def _relaxed(fixed: Array, free: Array, glass: Polygon, mesh_size: float) -> Array:
+    """Return fixed points and free ones moved to the mean circumcentre of their triangles."""
+    tree = cKDTree(fixed)
+
+    def apart(places: Array, least: float) -> Array:
+        gap, _ = tree.query(places)
+        roomy = places[gap > least * mesh_size]
+        return roomy[inside(glass, roomy)]
+
+    free = apart(free, 0.7)
+    for _ in range(RELAXATIONS):
+        points = np.concatenate([fixed, free])
+        triangles = _triangles(points, glass, mesh_size)
+        centre, _, area = _circles(points[triangles])
+        # Near the boundary the centre of the circle may lie outside: that of the triangle then.
+        out = ~inside(glass, centre)
+        centre[out] = points[triangles[out]].mean(axis=1)
+        total, moment = np.zeros(len(points)), np.zeros((len(points), 2))
+        np.add.at(total, triangles, area[:, None])
+        np.add.at(moment, triangles, (area[:, None] * centre)[:, None])
+        moved = points.copy()
+        moved[total > 0] = moment[total > 0] / total[total > 0, None]
+        free = apart(moved[len(fixed) :], 0.6)
+    return np.concatenate([fixed, free])
+
+
+def _refined(points: Array, sides: Indices, glass: Polygon, mesh_size: float) -> Mesh:
+    """Add vertices until all triangles are good (Ruppert's algorithm, many vertices a round)."""
+    for _ in range(MAX_ROUNDS):
+        middle = points[sides].mean(axis=1)
+        half = 0.5 * np.linalg.norm(np.diff(points[sides], axis=1)[:, 0], axis=1)
+        within = cKDTree(points).query_ball_point(middle, half * (1 - 1e-9), return_length=True)
+        crowded = np.asarray(within) > 0
+        new = np.zeros((0, 2))
+        if not crowded.any():
+            triangles = _triangles(points, glass, mesh_size)
+            centre, radius, _ = _circles(points[triangles])
+            side = np.linalg.norm(np.diff(points[triangles][:, [0, 1, 2, 0]], axis=1), axis=2)
+            slender = side.min(axis=1) < 2 * radius * np.sin(np.radians(MIN_ANGLE))
+            bad = slender | (radius > MAX_CIRCLE * mesh_size)
+            if not bad.any():
+                return Mesh(points, triangles)
+            new = _scattered(centre[bad], radius[bad])
+            to_middle, near = cKDTree(new).query(middle)
+            crowded = np.asarray(to_middle) < half
+            new = np.delete(new, np.asarray(near)[crowded], axis=0)
+        count = len(points)
+        points = np.concatenate([points, middle[crowded], new])
+        added = count + np.arange(np.count_nonzero(crowded))
+        first, second = sides[crowded].T
+        sides = np.concatenate([
+            sides[~crowded], np.stack([first, added], axis=1), np.stack([added, second], axis=1)
+        ])  # fmt: skip
+    raise GeometryError(
+        f"no mesh of {mesh_size:.6g} m with sound angles was found for this outline",
+        remedy="take a smaller mesh size, or blunt the outline's sharpest corners",
+    )
+
+
+def _triangles(points: Array, glass: Polygon, mesh_size: float) -> Indices:
+    """Return Delaunay's triangles on the glass, counter-clockwise, without slivers."""
+    triangles = Delaunay(points).simplices.astype(np.int64)
+    corners = points[triangles]
+    twice = np.linalg.det(corners[:, 1:] - corners[:, :1])
+    triangles[twice < 0] = triangles[twice < 0][:, ::-1]
+    sound = np.abs(twice) > 1e-9 * mesh_size**2
+    return np.asarray(triangles[sound & inside(glass, corners.mean(axis=1))])
+
+
+def _circles(corners: Array) -> tuple[Array, Array, Array]:
+    """Return centre and radius of the circle around each triangle, and its area."""
+    sides = corners[:, 1:] - corners[:, :1]
+    arm = np.linalg.solve(2 * sides, (sides**2).sum(axis=2, keepdims=True))[:, :, 0]
+    area = 0.5 * np.abs(np.linalg.det(sides))
+    return corners[:, 0] + arm, np.linalg.norm(arm, axis=1), area
+
+
+def _scattered(centre: Array, radius: Array) -> Array:
+    """Return centres, in the order of radius, that lie in no circle already taken."""
+    order = np.argsort(-radius)
+    taken: list[int] = []
+    for i in order:
+        gap = np.linalg.norm(centre[taken] - centre[i], axis=1)
+        if not taken or (gap > radius[taken]).all():
+            taken.append(int(i))
+    return centre[taken]

@@ -1,9 +1,9 @@
-"""Polygons around a glass, refused where no mesh could follow them."""
+"""Polygons around a glass, refused if no mesh can follow them; their geometry is shapely's."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,36 +14,46 @@ from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import areas_and_moments
 from truenewton.rounding import counted
 
-SHARPEST_CORNER = 45.0  # [deg]; below, halving one side of a corner crowds the other for ever
-MOST_TRIANGLES = 100_000  # 22 000 of a curved glass take 1.5 GB, and more than in proportion
-MOST_VERTICES = 2000  # of all polygons: elements are no longer than sides
-FINEST = 1e-6  # [m]
-CLOSEST = 0.02  # actuators to one another and to an edge, in mesh sizes
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+MIN_CORNER = 45.0  # [deg]; refinement of a sharper corner does not end
+MAX_TRIANGLES = 100_000  # 22 000 of a curved glass take 1.5 GB, and more than in proportion
+MAX_VERTICES = 2000  # of all polygons: elements are no longer than sides
+MIN_MESH_SIZE = 1e-6  # [m]
+MIN_DISTANCE = 0.02  # between actuators, and to an edge, in mesh sizes
 
 
-def inside(loops: Sequence[Array], places: Array) -> NDArray[np.bool_]:
-    """Tell (n,) whether (n, 2) places lie within the first polygon and none of the others."""
-    from matplotlib.path import Path  # half a second that rings do not wait for
+def polygon_of(loops: Sequence[Array]) -> Polygon:
+    """Return the glass within the first of (n, 2) polygons and outside the others."""
+    import shapely  # late: rings do without it
 
-    outer, *holes = (Path(loop).contains_points(places) for loop in loops)
-    return np.asarray(outer & ~np.any(holes, axis=0))
+    polygon = shapely.Polygon(loops[0], loops[1:])
+    shapely.prepare(polygon)
+    return polygon
 
 
-def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array]:
-    """Return the outline and its holes as (n_vertices, 2) arrays [m], once a mesh can follow them.
+def inside(glass: Polygon, places: Array) -> NDArray[np.bool_]:
+    """Return (n,) which of (n, 2) places lie on the glass."""
+    import shapely
 
-    Raises
-    ------
-    GeometryError
-        What `checked_polygons` and `check_mesh_size` refuse.
+    return np.asarray(shapely.contains_xy(glass, *places.T))
+
+
+def depth_inside(loops: Sequence[Array], places: Array) -> Array:
+    """Return (n,) distance from each of (n, 2) places to the nearest side, negative off the glass.
+
+    Lengths have the unit of the places.
     """
-    loops = checked_polygons(polygons)
-    check_mesh_size(loops, mesh_size)
-    return loops
+    import shapely
+
+    glass = polygon_of(loops)
+    distance = shapely.distance(glass.boundary, shapely.points(places))
+    return np.asarray(np.where(inside(glass, places), distance, -distance))
 
 
 def checked_polygons(polygons: Sequence[ArrayLike]) -> list[Array]:
-    """Return the outline and its holes as (n_vertices, 2) arrays [m], once they can be.
+    """Return the outline and its holes as (n_vertices, 2) arrays [m], once they are valid.
 
     Raises
     ------
@@ -53,10 +63,10 @@ def checked_polygons(polygons: Sequence[ArrayLike]) -> list[Array]:
     """
     loops = [np.asarray(polygon, dtype=float) for polygon in polygons]
     vertices = sum(map(len, loops))
-    if vertices > MOST_VERTICES:
+    if vertices > MAX_VERTICES:
         raise GeometryError(
             f"an outline of {vertices} vertices",
-            remedy=f"thin it to {MOST_VERTICES} at most; one in each element will do",
+            remedy=f"thin it to {MAX_VERTICES} at most; one in each element will do",
             got=vertices,
         )
     for k, loop in enumerate(loops):
@@ -65,7 +75,7 @@ def checked_polygons(polygons: Sequence[ArrayLike]) -> list[Array]:
     for k, loop in enumerate(loops):
         _check_corners(loop, _named(k))
     for k, hole in enumerate(loops[1:], 1):
-        if not inside(loops[:k] + loops[k + 1 :], hole[:1]).all():
+        if not inside(polygon_of(loops[:k] + loops[k + 1 :]), hole[:1]).all():
             raise GeometryError(
                 f"hole {k} does not lie in the glass", remedy="give holes within the edge, apart"
             )
@@ -79,15 +89,15 @@ def check_mesh_size(loops: Sequence[Array], mesh_size: float) -> None:
     ------
     GeometryError
     """
-    if not FINEST <= mesh_size < np.inf:
+    if not MIN_MESH_SIZE <= mesh_size < np.inf:
         raise GeometryError(
             f"mesh size {mesh_size:.6g} m",
-            remedy=f"give a positive length, {FINEST:g} m at least",
+            remedy=f"give a positive length, {MIN_MESH_SIZE:g} m at least",
             got=mesh_size,
         )
     triangles = areas_and_moments(loops)[0] / (np.sqrt(3 / 16) * mesh_size**2)
-    if triangles > MOST_TRIANGLES:
-        coarser = mesh_size * np.sqrt(triangles / MOST_TRIANGLES)
+    if triangles > MAX_TRIANGLES:
+        coarser = mesh_size * np.sqrt(triangles / MAX_TRIANGLES)
         raise GeometryError(
             f"a mesh size of {mesh_size:.6g} m makes some {triangles:.1e} triangles",
             remedy=f"give {coarser:.2g} m or more",
@@ -109,7 +119,7 @@ def checked_places(loops: Sequence[Array], x: Array, y: Array, mesh_size: float)
         Actuators off the glass, all but on an edge, or all but at one place.
     """
     places = np.stack([x, y], axis=1)
-    closest, depth = CLOSEST * mesh_size, depth_inside(loops, places)
+    closest, depth = MIN_DISTANCE * mesh_size, depth_inside(loops, places)
     for i in np.flatnonzero(~(depth >= 0)):
         raise GeometryError(
             f"actuator {i} at x = {x[i]:.6g} m, y = {y[i]:.6g} m is off the glass",
@@ -156,36 +166,30 @@ def _check_corners(loop: Array, name: str) -> None:
     ahead, back = np.roll(loop, -1, axis=0) - loop, np.roll(loop, 1, axis=0) - loop
     cosine = (ahead * back).sum(axis=1) / np.hypot(*ahead.T) / np.hypot(*back.T)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    if angle.min() < SHARPEST_CORNER:
+    if angle.min() < MIN_CORNER:
         i = int(angle.argmin())
         raise GeometryError(
             f"{name} turns back to {angle[i]:.3g} degrees at its point {i + 1}, {_at(loop[i])}",
-            remedy=f"blunt corners below {SHARPEST_CORNER:g} degrees",
+            remedy=f"blunt corners below {MIN_CORNER:g} degrees",
             got=float(angle[i]),
         )
 
 
 def _check_crossings(loops: Sequence[Array]) -> None:
-    """Refuse sides that meet, but for the ends of neighbours."""
-    start, end = sides_of(loops)
-    sizes = [len(loop) for loop in loops]
-    loop_of = np.repeat(np.arange(len(loops)), sizes)
-    first = np.repeat(np.cumsum([0, *sizes[:-1]]), sizes)
-    place = np.arange(len(start)) - first  # within its own polygon
-    before = first + (place - 1) % np.repeat(sizes, sizes)
-    after = first + (place + 1) % np.repeat(sizes, sizes)
-    for i in range(len(start)):
-        met = _meets(start[i], end[i], start, end)
-        met[[before[i], i, after[i]]] = False
-        if not met.any():
+    """Refuse sides that meet, except for neighbours at their common end."""
+    import shapely
+
+    sides = shapely.linestrings(np.stack(sides_of(loops), axis=1))
+    owner = [(k, i) for k, loop in enumerate(loops) for i in range(len(loop))]
+    for i, j in sorted(shapely.STRtree(sides).query(sides, predicate="intersects").T.tolist()):
+        (one, first), (other, second) = owner[i], owner[j]
+        if one == other and (second - first) % len(loops[one]) in (0, 1, len(loops[one]) - 1):
             continue
-        j = int(met.argmax())
-        at = _at(_meeting_point(start[i], end[i], start[j], end[j]))
-        one, other = loop_of[[i, j]].tolist()
+        at = _at(shapely.get_coordinates(shapely.intersection(sides[i], sides[j]))[0])
         if one == other:
             raise GeometryError(
                 f"{_named(one)} crosses itself at {at}, with its sides after points"
-                f" {place[i] + 1} and {place[j] + 1}",
+                f" {first + 1} and {second + 1}",
                 remedy="give its points in their order along it, each once",
             )
         raise GeometryError(
@@ -196,42 +200,3 @@ def _check_crossings(loops: Sequence[Array]) -> None:
 
 def _at(point: Array) -> str:
     return "x = {:.5g} m, y = {:.5g} m".format(*(np.round(point, 9) + 0.0))
-
-
-def _meets(p: Array, q: Array, start: Array, end: Array) -> NDArray[np.bool_]:
-    """Tell which sides start-end touch the side p-q."""
-
-    def turn(a: Array, b: Array, c: Array) -> Array:
-        (u, v), (s, t) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
-        return np.asarray(np.sign(u * t - v * s))
-
-    crossing = (turn(p, q, start) * turn(p, q, end) <= 0) & (
-        turn(start, end, p) * turn(start, end, q) <= 0
-    )
-    overlap = (np.minimum(start, end) <= np.maximum(p, q)) & (
-        np.maximum(start, end) >= np.minimum(p, q)
-    )
-    return np.asarray(crossing & overlap.all(axis=1))
-
-
-def _meeting_point(p: Array, q: Array, start: Array, end: Array) -> Array:
-    """Return a point that two sides share: where they cross, or an end that lies on the other."""
-    across = np.stack([q - p, start - end], axis=1)
-    if abs(np.linalg.det(across)) > 1e-12 * np.prod(np.linalg.norm(across, axis=0)):
-        return np.asarray(p + np.linalg.solve(across, start - p)[0] * (q - p))
-    longest = int(np.abs(q - p).argmax())
-    return np.asarray(sorted([p, q, start, end], key=lambda point: float(point[longest]))[1])
-
-
-def depth_inside(loops: Sequence[Array], places: Array) -> Array:
-    """Return (n,) distance from each of (n, 2) places to the nearest side, negative off the glass.
-
-    Lengths as those of the places.
-    """
-    nearest = np.full(len(places), np.inf)
-    for start, end in zip(*sides_of(loops), strict=True):
-        along = end - start
-        part = np.clip((places - start) @ along / (along @ along), 0, 1)
-        gap = places - start - part[:, None] * along
-        nearest = np.minimum(nearest, np.hypot(*gap.T))
-    return np.where(inside(loops, places), nearest, -nearest)

@@ -10,19 +10,18 @@ from scipy.sparse.linalg import spsolve
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import p45, ring
-from truenewton.mirrors.shell.air_film import (
+from truenewton.mirrors.shell.dynamics import (
     ROOM_PRESSURE,
     VISCOSITY,
     breathing_frequency,
     film_damping,
 )
-from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.moving_mass import static_shapes
+from truenewton.mirrors.shell.shell_model import model_shell, static_shapes
 from truenewton.statics.layout import layout
 
 
 def damping_of(mirror):
-    glass = held_glass(mirror)
+    glass = model_shell(mirror)
     return film_damping(glass, static_shapes(glass)), np.array(glass.places)
 
 
@@ -135,7 +134,7 @@ def test_a_narrow_ring_breathes_as_a_strip():
     """Across a strip of width b - a the least eigenvalue of -div grad is (pi / (b - a))^2."""
     mirror = replace(six_bores(0.0)[0], gap=50e-6)
     shell = replace(mirror.shell, inner_radius=0.024, outer_radius=0.036)
-    glass = held_glass(replace(
+    glass = model_shell(replace(
         mirror, shell=shell, puck_radius=0.0,
         sensor=replace(mirror.sensor, inner_radius=1e-3, outer_radius=2e-3),
     ))  # fmt: skip

@@ -1,7 +1,7 @@
-"""What the film of air between glass and reference plate does to motion: Reynolds' equation.
+"""What moves with the glass: its mass, and the film of air between glass and reference plate.
 
-Air is squeezed out of a film as thin as this one against its viscosity mu alone (W. E. Langlois,
-Quarterly of Applied Mathematics 20, 1962). With the gap h even, w along +z, p the pressure above
+Air is squeezed out of a thin film against its viscosity mu (Reynolds' equation; W. E. Langlois,
+Quarterly of Applied Mathematics 20, 1962). With an even gap h, w along +z, and p the pressure above
 that of the room, which it has at the edges of the glass and at open bores:
 
     div grad p = -(12 mu / h^3) dw/dt        in the film,  p = 0 at its edges
@@ -11,64 +11,71 @@ takes the forces C dz/dt, as work on the readings,
 
     C = (12 mu / h^3) integral of phi_i G phi_j
 
-Round each actuator the plate may have a bore of radius v, open to the room. It lets out what makes
-the mean pressure on its rim zero: with Phi_kj that mean of G phi_j without bores, and Gamma_kl that
+The plate may have a bore of radius v round each actuator, open to the room. Its sources make the
+mean pressure on its rim zero: with Phi_kj that mean of G phi_j without bores, and Gamma_kl that
 of the Green's function of a source on the rim of bore l,
 
     C <- C - (12 mu / h^3) [Phi' Gamma^-1 Phi + (pi v^4 / 8) S' S]
 
-where S is the displacement over the bores; the last term is the film that the bore is not. Bores
-are small beside their distances; the air's inertia and compression are left out, as
+where S is the displacement over the bores; the last term is the missing film of the bore. Bores
+are small compared with their distances; inertia and compression of the air are neglected, as
 `breathing_frequency` allows.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import legendre
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.linalg import splu
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.shell.finite_elements.film import MeshedFilm
+from truenewton.mirrors.glass import Points, rim
+from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
-from truenewton.mirrors.shell.held_glass import HeldGlass
-from truenewton.mirrors.shell.moving_mass import StaticShapes, shapes_at
-from truenewton.mirrors.shell.places import Points
+from truenewton.mirrors.shell.shell_model import ShellModel, StaticShapes, shapes_at
 
 VISCOSITY = 1.82e-5  # of air at 20 degC [Pa s, lit]
 ROOM_PRESSURE = 1.013e5  # [Pa, lit]
-FINER = 3.0  # functions of pressure for each actuator along a line
+FUNCTIONS_PER_ACTUATOR = 3.0  # of pressure, along a line
 
 
-class Film(Protocol):
-    """The space of pressures in a film, zero at its edges."""
+def moving_mass(glass: ShellModel, shapes: StaticShapes) -> tuple[Array, Array]:
+    """Return M and S in M z'' + K~ z = S' f, z the readings and f the forces.
 
-    def values(self, at: Points) -> Array:
-        """Return (points, functions)."""
+    M = rho t integral of phi_i phi_j + magnet_mass S' S (Guyan's reduction), with phi the
+    influence functions and S the displacement of the pucks with their magnets per reading, 1 if
+    actuators are read at the points of their forces. S transforms the forces to the readings by
+    virtual work; K~ = S' K. Motion along the glass and the inertia of rotation are neglected.
 
-    def work(self, at: Points, shapes: Array) -> Array:
-        """Return (functions, k) sums of each over places, times (places, k) area times shape."""
+    Returns
+    -------
+    tuple of numpy.ndarray
+        (n, n) mass by the readings [kg], symmetric; for rigid motions that of the whole. (n, n) S.
+    """
+    mirror = glass.mirror
+    mass = shapes.shape.T @ (shapes.area[:, None] * shapes.shape)
+    mass *= mirror.shell.density * mirror.shell.thickness
+    pucks, on_puck = np.eye(mirror.layout.n), rim(mirror.puck_radius)
+    if mirror.sensor != on_puck:
+        pucks = shapes_at(glass, glass.places, on_puck)
+    mass += mirror.magnet_mass * pucks.T @ pucks
+    return 0.5 * (mass + mass.T), pucks
 
-    def solve(self, work: Array) -> Array:
-        """Return (functions, k) that G gives for the (functions, k) integrals of each by phi."""
 
-    def smooth_green(self, at: Points) -> Array:
-        """Return (n, n) Green's function between places plus ln(distance) / 2 pi."""
-
-
-def film_damping(glass: HeldGlass, shapes: StaticShapes) -> Array:
+def film_damping(glass: ShellModel, shapes: StaticShapes) -> Array:
     """Return C, (n, n), the force of the air film per velocity of the readings [N s/m].
 
-    Symmetric; as work on the readings, like the mass of `moving_mass`. At the nominal gap: that it
-    goes as gap^-3 within a stroke is left out.
+    Symmetric; as work on the readings, like the mass of `moving_mass`; at the nominal gap.
 
     Raises
     ------
     GeometryError
-        Bores that touch, or reach over an edge; what `held_glass` raises.
+        Bores that touch, or reach over an edge.
     """
     mirror, film = glass.mirror, film_of(glass)
     work = film.work(shapes.at, shapes.area[:, None] * shapes.shape)
@@ -83,10 +90,10 @@ def film_damping(glass: HeldGlass, shapes: StaticShapes) -> Array:
     return np.asarray(6 * VISCOSITY / mirror.gap**3 * (damping + damping.T))
 
 
-def breathing_frequency(glass: HeldGlass) -> float:
-    """Return the frequency [Hz] at which the film is as much of a spring as of a damper.
+def breathing_frequency(glass: ShellModel) -> float:
+    """Return the frequency [Hz] at which stiffness and damping of the film are equal.
 
-    p_0 h^2 k^2 / 24 pi mu, with k^2 the least eigenvalue of -div grad in the film: well below it
+    p_0 h^2 k^2 / 24 pi mu, with k^2 the smallest eigenvalue of -div grad in the film: well below it
     air is squeezed out, well above it is compressed (Langlois 1962).
     """
     film = film_of(glass)
@@ -96,16 +103,18 @@ def breathing_frequency(glass: HeldGlass) -> float:
     return ROOM_PRESSURE * glass.mirror.gap**2 * k2 / (24 * np.pi * VISCOSITY)
 
 
-def film_of(glass: HeldGlass) -> Film:
-    """Return the film under a ring of glass, or under any outline."""
+def film_of(glass: ShellModel) -> RoundFilm | MeshedFilm:
+    """Return the pressures in the film under a shell, zero at its edges."""
     if isinstance(glass.free, MeshedShell):
         return MeshedFilm(glass.free.mesh)
     shell = glass.mirror.shell
-    return RoundFilm(shell.inner_radius, shell.outer_radius, FINER * glass.mirror.layout.n**0.5)
+    return RoundFilm(
+        shell.inner_radius, shell.outer_radius, FUNCTIONS_PER_ACTUATOR * glass.mirror.layout.n**0.5
+    )
 
 
-def _between_bores(film: Film, glass: HeldGlass) -> Array:
-    """Return Gamma, (n, n), once bores are known not to touch."""
+def _between_bores(film: RoundFilm | MeshedFilm, glass: ShellModel) -> Array:
+    """Return Gamma, (n, n), and refuse bores that touch."""
     vent = glass.mirror.vent_radius
     x, y = glass.places
     distance = np.hypot(x[:, None] - x, y[:, None] - y)
@@ -124,7 +133,7 @@ def _between_bores(film: Film, glass: HeldGlass) -> Array:
 
 @dataclass(frozen=True)
 class RoundFilm:
-    """Pressures in a ring: cos and sin of m theta, times polynomials of radius that are 0 at edges.
+    """Pressures in a ring: cos and sin of m theta times polynomials of radius, 0 at the edges.
 
     Attributes
     ----------
@@ -164,14 +173,14 @@ class RoundFilm:
         return np.concatenate([np.ones((theta.size, 1)), turned.reshape(theta.size, -1)], axis=1)
 
     def values(self, at: Points) -> Array:
-        """Return (points, functions), those of one wave together."""
+        """Return the (points, functions) values, those of one wave together."""
         radial, waves = self._radial(np.hypot(*at), 0), self._waves(np.arctan2(at[1], at[0]))
         return (waves[:, :, None] * radial[:, None, :]).reshape(at[0].size, -1)
 
     def work(self, at: Points, shapes: Array) -> Array:
         """Return (functions, k) sums of each over places, times (places, k) area times shape.
 
-        Circle by circle: places lie on few.
+        Circle by circle, since places lie on few.
         """
         radius = np.hypot(*at)
         circle = np.round(radius / self.outer_radius, 12)
@@ -184,7 +193,7 @@ class RoundFilm:
         return np.asarray(work.reshape(-1, shapes.shape[1]))
 
     def solve(self, work: Array) -> Array:
-        """Return (functions, k) of pressure: Galerkin's method, wave by wave."""
+        """Return the (functions, k) pressure G of such sums: Galerkin's method, wave by wave."""
         xi, gauss = legendre.leggauss(2 * self.order + 16)
         half = (self.outer_radius - self.inner_radius) / 2
         r, weight = self.inner_radius + half * (xi + 1), half * gauss
@@ -216,3 +225,71 @@ class RoundFilm:
             images = inward**m + outward**m - (r * s) ** m - (a * a / r / s) ** m
             green += images / (m * (1 - a ** (2 * m))) * np.cos(m * between)
         return np.asarray(green / (2 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class MeshedFilm:
+    """Pressures under a glass of any outline: linear elements on its mesh.
+
+    Attributes
+    ----------
+    mesh
+        Its first vertices are the actuators.
+    """
+
+    mesh: Mesh
+
+    @cached_property
+    def _energy(self) -> csc_array:
+        """(vertices, vertices) integral of grad s . grad s' of the linear functions."""
+        corners = self.mesh.corners
+        opposite = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
+        local = opposite @ np.swapaxes(opposite, 1, 2) / (4 * self.mesh.areas[:, None, None])
+        rows, columns = np.broadcast_arrays(
+            self.mesh.triangles[:, :, None], self.mesh.triangles[:, None, :]
+        )
+        return csc_array((local.ravel(), (rows.ravel(), columns.ravel())))
+
+    @cached_property
+    def _inner_and_edge(self) -> tuple[Indices, Indices]:
+        """Vertices within the film, and those on an edge of it."""
+        sides = np.bincount(self.mesh.edge_of.ravel())
+        edge = np.unique(self.mesh.edges[sides == 1])
+        return np.setdiff1d(np.arange(len(self.mesh.points)), edge), edge
+
+    def values(self, at: Points) -> Array:
+        """Return the (points, functions) values, a function for each inner vertex."""
+        return np.asarray(self._values(at).toarray())
+
+    def _values(self, at: Points) -> csr_array:
+        places = np.stack(at, axis=1)
+        triangle = self.mesh.triangle_at(places)
+        corners = self.mesh.corners[triangle]
+        ahead, behind = np.roll(corners, -1, axis=1), np.roll(corners, 1, axis=1)
+        sides = np.stack([ahead - places[:, None], behind - places[:, None]], axis=2)
+        shares = np.linalg.det(sides) / (2 * self.mesh.areas[triangle, None])
+        rows = np.repeat(np.arange(len(places)), 3)
+        columns = self.mesh.triangles[triangle].ravel()
+        shape = (len(places), len(self.mesh.points))
+        return csr_array((shares.ravel(), (rows, columns)), shape=shape)[:, self._inner_and_edge[0]]
+
+    def work(self, at: Points, shapes: Array) -> Array:
+        """Return (functions, k) sums of each over places, times (places, k) area times shape."""
+        return np.asarray(self._values(at).T @ shapes)
+
+    def solve(self, work: Array) -> Array:
+        """Return the (functions, k) pressure G of such sums."""
+        inner, _ = self._inner_and_edge
+        return np.asarray(splu(csc_array(self._energy[inner][:, inner])).solve(np.asarray(work)))
+
+    def smooth_green(self, at: Points) -> Array:
+        """Return (n, n) Green's function between actuators plus ln(distance) / 2 pi.
+
+        It is harmonic, and ln(distance) / 2 pi at the edges.
+        """
+        inner, edge = self._inner_and_edge
+        places = self.mesh.points[edge, None] - np.stack(at, axis=1)
+        at_edge = np.log(np.linalg.norm(places, axis=2)) / (2 * np.pi)
+        within = np.zeros((len(self.mesh.points), at[0].size))
+        within[inner] = self.solve(-(self._energy[inner][:, edge] @ at_edge))
+        return within[: at[0].size]

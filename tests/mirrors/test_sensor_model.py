@@ -20,8 +20,8 @@ from helpers.shells import (
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus
 from truenewton.mirrors.known import ring
-from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
+from truenewton.mirrors.shell.dynamics import moving_mass
+from truenewton.mirrors.shell.shell_model import model_shell, static_shapes
 from truenewton.statics.layout import layout
 
 ELECTRODE = Annulus(8e-3, 12.5e-3)
@@ -113,7 +113,7 @@ def moved(shell, at, sensor, puck, magnet_mass):
     """Return stiffness, mass and motion of the pucks of a mirror with its actuators along it."""
     shorter = np.sinc(np.hypot(at.x, at.y) / shell.radius_of_curvature / np.pi)
     at = layout(shorter * at.x, shorter * at.y)
-    glass = held_glass(
+    glass = model_shell(
         replace(
             ring(4), layout=at, shell=shell, sensor=sensor, puck_radius=puck,
             magnet_mass=magnet_mass,

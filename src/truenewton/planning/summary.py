@@ -1,4 +1,4 @@
-"""What a campaign is predicted to give, in words for people and in figures for scripts."""
+"""The prediction of a plan: text for the terminal, values for scripts."""
 
 from __future__ import annotations
 
@@ -18,17 +18,16 @@ from truenewton.acquisition.load_order import (
 from truenewton.acquisition.taker import POSITION_SIGMAS, POSITION_TOLERANCE
 from truenewton.calibration.words import warning_lines
 from truenewton.estimation.findings.scale_budget import scale_budget
-from truenewton.planning.outlook import Curve, Outlook, typical_errors
-from truenewton.planning.target import Way
+from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction
 from truenewton.rounding import counted, percent
 
 
-def lines(outlook: Outlook) -> Iterator[str]:
-    """Yield what is predicted, as people read it."""
-    ready, strain, prediction = outlook.ready, outlook.strain, outlook.prediction
+def lines(outcome: PlanPrediction) -> Iterator[str]:
+    """Yield the lines of the prediction."""
+    ready, strain, prediction = outcome.ready, outcome.strain, outcome.prediction
     plan, limits = ready.plan, ready.plan.limits
     relative, shapes = prediction.error / prediction.alpha, len(ready.shapes)
-    typical_error, from_readings, from_weights = typical_errors(prediction)
+    typical_error, from_readings, from_weights = prediction.typical_errors
     names = ", ".join(load.name for load in plan.loads)
     yield (
         f"{ready.mirror.name}, predicted: {len(prediction.alpha)} actuators,"
@@ -56,7 +55,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
          f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
         ("least known", prediction.diagnosis.weakest,
          f"{percent(prediction.diagnosis.weakest_share)} of the variance E_STAT^2"),
-        ("duration", _time(outlook.duration),
+        ("duration", _time(outcome.duration),
          f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(order) - 1} x"
          f" {_time(plan.pause)} to change the load"),
         ("largest force", f"{strain.force:.3g} N",
@@ -64,25 +63,25 @@ def lines(outlook: Outlook) -> Iterator[str]:
          f" alpha be lowest; limit {limits.force:g} N"),
         ("largest stroke", f"{1e6 * strain.stroke:.3g} um",
          f"limit {1e6 * limits.displacement:g} um"),
-        *_drowned(outlook),
+        *_small_shapes(outcome),
         ("smallest gap", f"{1e6 * strain.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
     ]  # fmt: skip
     for name, value, note in rows:
         yield f"  {name:<24}{value:<26}{note}".rstrip()
-    yield from _reciprocity_lines(outlook)
-    yield from _order_lines(outlook)
+    yield from _reciprocity_lines(outcome)
+    yield from _order_lines(outcome)
     yield "  typical errors of alpha against"
-    yield from _table("cycles", outlook.against_cycles)
-    if outlook.reciprocity.planned is not None:
-        error = outlook.reciprocity.against_cycles.reading_error.tolist()
+    yield from _table("cycles", outcome.against_cycles)
+    if outcome.reciprocity.planned is not None:
+        error = outcome.reciprocity.against_cycles.reading_error.tolist()
         yield f"      {'by reciprocity':<20}" + "".join(f"{percent(e):>9}" for e in error)
-    yield from _table("added weights, times", outlook.against_weight)
-    yield from warning_lines(outlook.warnings)
+    yield from _table("added weights, times", outcome.against_weight)
+    yield from warning_lines(outcome.warnings)
 
 
-def _drowned(outlook: Outlook) -> list[tuple[str, str, str]]:
-    """Return a row of the shapes so small that noise of positions looks like a fault; or none."""
-    shapes, noise = outlook.ready.shapes, outlook.ready.plan.sensors.noise
+def _small_shapes(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
+    """Return a row if shapes are so small that position noise would be taken for a fault."""
+    shapes, noise = outcome.ready.shapes, outcome.ready.plan.sensors.noise
     strokes = np.abs(shapes).max(axis=1)
     small = int(np.count_nonzero(POSITION_TOLERANCE * strokes < POSITION_SIGMAS * noise))
     if not small:
@@ -95,14 +94,14 @@ def _drowned(outlook: Outlook) -> list[tuple[str, str, str]]:
     ]  # fmt: skip
 
 
-def _reciprocity_lines(outlook: Outlook) -> Iterator[str]:
-    """Yield what reciprocity will give besides, or why it cannot be had."""
-    found, plan = outlook.reciprocity, outlook.ready.plan
+def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
+    """Yield what reciprocity will give, or why it is not possible."""
+    found, plan = outcome.reciprocity, outcome.ready.plan
     if found.planned is None:
         yield f"  {'by reciprocity':<24}cannot be had: {found.why_not}"
         return
     yield f"  by reciprocity (calibrate --method reciprocity --mirror {plan.mirror})"
-    error, from_readings, _ = typical_errors(found.planned)
+    error, from_readings, _ = found.planned.typical_errors
     sensors, rows = plan.sensors, []
     if not found.planned.scale_is_free:
         rows.append(("error of alpha", percent(error), "E_ALPHA, typical"))
@@ -121,23 +120,23 @@ def _reciprocity_lines(outlook: Outlook) -> Iterator[str]:
         yield f"    {name:<22}{value:<26}{note}"
 
 
-def _order_lines(outlook: Outlook) -> Iterator[str]:
-    """Yield when which load is put on, what that saves and costs, and what a third one would."""
-    plan, drift = outlook.ready.plan, outlook.ready.plan.drift
-    order = mountings(plan, len(outlook.ready.shapes))
+def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
+    """Yield the order of the loads, what each order costs, and what a third load would show."""
+    plan, drift = outcome.ready.plan, outcome.ready.plan.drift
+    order = mountings(plan, len(outcome.ready.shapes))
     yield f"  {'order of the loads':<24}{', '.join(map(str, order))}"
     if len(order) > 1:
         changes = (f"'{each.load.name}' after {_time(each.start)}" for each in order[1:])
         yield f"  {'change to':<24}{', '.join(changes)}"
-    if len(outlook.orders) > 1:
+    if len(outcome.orders) > 1:
         yield (
             f"  drift of {percent(drift.alpha)} of alpha and {1e6 * drift.zero:.3g} uN an hour,"
             f" {1e6 * drift.remounting:.3g} uN at each mounting: of the common scale"
         )
-        for cost in outlook.orders:
+        for cost in outcome.orders:
             yield f"    {_turns(cost.turns):<22}{_order_cost(cost, plan.turns)}"
-        yield f"    {_remounting_pays(outlook)}"
-    if (third := outlook.third_load) is not None:
+        yield f"    {_remounting_pays(outcome)}"
+    if (third := outcome.third_load) is not None:
         seen = f"{1e3 * third.seen:.2g} mN ({percent(third.relative)} of scale)"
         yield (
             f"  a third load, as heavy and as well known as '{third.like}', shows what two cannot:"
@@ -153,7 +152,7 @@ def _turns(turns: int) -> str:
 
 
 def _order_cost(cost: OrderCost, planned: int) -> str:
-    """Return what an order costs: time, and errors of the scale."""
+    """Return the errors of the scale and the time of an order."""
     taken = " (planned)" if cost.turns == planned else ""
     return (
         f"alpha {percent(abs(cost.gain))}, zeros {percent(abs(cost.zero))}, mounting"
@@ -162,20 +161,20 @@ def _order_cost(cost: OrderCost, planned: int) -> str:
     )
 
 
-def _remounting_pays(outlook: Outlook) -> str:
-    """Return what mounting again costs and saves, against the same time in more cycles."""
-    ready, most = outlook.ready, outlook.orders[-1]
+def _remounting_pays(outcome: PlanPrediction) -> str:
+    """Return the cost and gain of more mountings, compared with more cycles in the same time."""
+    ready, most = outcome.ready, outcome.orders[-1]
     without = without_remounting(ready.plan, ready.mirror, len(ready.shapes), most)
-    extra = most.changes - outlook.orders[0].changes
+    extra = most.changes - outcome.orders[0].changes
     return (
-        f"mounting {extra} times more costs {_time(most.duration - outlook.orders[0].duration)};"
+        f"mounting {extra} times more costs {_time(most.duration - outcome.orders[0].duration)};"
         f" that time in cycles instead leaves {percent(without)}, in turn {percent(most.error)}:"
         f" turns = {turns_that_pay(ready.plan, ready.mirror, len(ready.shapes))} recommended"
     )
 
 
 def _table(name: str, curve: Curve) -> Iterator[str]:
-    """Yield a curve as lines: what changes, and the errors that are finite."""
+    """Yield a curve: its values and the finite errors."""
     if curve.values.size:
         yield f"    {name:<22}" + "".join(f"{value:>9g}" for value in curve.values.tolist())
         for kind, error in (("E_ALPHA", curve.error), ("E_STAT", curve.reading_error)):
@@ -183,36 +182,38 @@ def _table(name: str, curve: Curve) -> Iterator[str]:
                 yield f"      {kind:<20}" + "".join(f"{percent(e):>9}" for e in error.tolist())
 
 
-def way_lines(target: float | None, ways: Sequence[Way]) -> Iterator[str]:
-    """Yield what to change for the wanted error."""
+def change_lines(target: float | None, changes: Sequence[Change]) -> Iterator[str]:
+    """Yield the changes for the wanted error."""
     if target is None:
         return
-    if not ways:
+    if not changes:
         yield f"  {percent(target)} is reached as it is"
         return
     yield f"  for {percent(target)}, one of these alone:"
-    for way in ways:
-        if way.reached:
-            said = f"{way.change}: {percent(way.error)}, {_time(way.duration)}"
-        elif way.plan is not None:
-            error = percent(way.error) if way.error < float("inf") else "the scale free"
-            said = f"cannot: even {way.change} leaves {error}"
+    for change in changes:
+        if change.reached:
+            said = f"{change.change}: {percent(change.error)}, {_time(change.duration)}"
+        elif change.plan is not None:
+            error = percent(change.error) if change.error < float("inf") else "the scale free"
+            said = f"cannot: even {change.change} leaves {error}"
         else:
-            said = f"cannot: {way.change}"
-        yield f"    {way.what:<22}{said}"
+            said = f"cannot: {change.change}"
+        yield f"    {change.what:<22}{said}"
 
 
 def _time(seconds: float) -> str:
-    """Return a time as people say it."""
+    """Return a time in seconds, minutes or hours."""
     if seconds < 120:
         return f"{seconds:.3g} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
-def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[str, Any]:
-    """Return the same figures for a script; infinite where the scale is free."""
-    ready, prediction = outlook.ready, outlook.prediction
-    typical_error, from_readings, from_weights = typical_errors(prediction)
+def values(
+    outcome: PlanPrediction, target: float | None, changes: Sequence[Change]
+) -> dict[str, Any]:
+    """Return the values for a script; infinite if the scale is free."""
+    ready, prediction = outcome.ready, outcome.prediction
+    typical_error, from_readings, from_weights = prediction.typical_errors
     return {
         "instrument": ready.mirror.name,
         "shapes": len(ready.shapes),
@@ -232,10 +233,10 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
             "e_stat": prediction.reading_error,
             "e_syst": prediction.systematic_error,
         },
-        "reciprocity": _reciprocity_values(outlook),
+        "reciprocity": _reciprocity_values(outcome),
         "weakest": prediction.diagnosis.weakest,
         "undetermined": prediction.diagnosis.undetermined,
-        "duration": outlook.duration,
+        "duration": outcome.duration,
         "turns": ready.plan.turns,
         "mountings": [
             {"load": each.load.name, "cycles": [each.cycles[0], each.cycles[-1]],
@@ -243,29 +244,29 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
             for each in mountings(ready.plan, len(ready.shapes))
         ],
         "orders": [
-            {**dataclasses.asdict(cost), "error": cost.error} for cost in outlook.orders
+            {**dataclasses.asdict(cost), "error": cost.error} for cost in outcome.orders
         ],
-        "third_load": outlook.third_load and dataclasses.asdict(outlook.third_load),
+        "third_load": outcome.third_load and dataclasses.asdict(outcome.third_load),
         **{f"largest_{key}" if key in ("force", "stroke") else key: value
-           for key, value in dataclasses.asdict(outlook.strain).items()},
+           for key, value in dataclasses.asdict(outcome.strain).items()},
         "curves": {
             name: {name: curve.values, "error": curve.error, "e_stat": curve.reading_error,
                    "e_syst": curve.systematic_error}
-            for name, curve in (("cycles", outlook.against_cycles),
-                                ("added_factor", outlook.against_weight))
+            for name, curve in (("cycles", outcome.against_cycles),
+                                ("added_factor", outcome.against_weight))
         },
-        "warnings": [each.fault for each in outlook.warnings],
+        "warnings": [each.fault for each in outcome.warnings],
         "target": target,
-        "ways": [{k: v for k, v in vars(way).items() if k != "plan"} for way in ways],
+        "ways": [{k: v for k, v in vars(change).items() if k != "plan"} for change in changes],
     }  # fmt: skip
 
 
-def _reciprocity_values(outlook: Outlook) -> dict[str, Any]:
-    """Return the figures of reciprocity; none, and why, where it cannot be had."""
-    found = outlook.reciprocity
+def _reciprocity_values(outcome: PlanPrediction) -> dict[str, Any]:
+    """Return the values of reciprocity, or why it is not possible."""
+    found = outcome.reciprocity
     if found.planned is None:
         return {"why_not": found.why_not}
-    typical_error, from_readings, from_weights = typical_errors(found.planned)
+    typical_error, from_readings, from_weights = found.planned.typical_errors
     return {
         "typical_error": typical_error,
         "typical_e_stat": from_readings,

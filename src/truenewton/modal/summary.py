@@ -1,4 +1,4 @@
-"""A modal base in words for people and in figures for scripts, alike on screen and on the page."""
+"""The summary of a modal base: text for the terminal and the page, values for scripts."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.words import row, warning_lines
-from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
-from truenewton.modal.modal_base import ModalBase
+from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent, significant
 
@@ -31,11 +30,10 @@ def stiffness_text(value: float) -> str:
 
 
 def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
-    """Return what some numbers of modes leave and cost, a row for each.
+    """Return residual and cost of some numbers of modes, a row for each.
 
-    The number; the rms wavefront left by so many modes of each of the three bases [nm]; and of the
-    stiffness modes the force, rms and of the worst actuator [mN], and the power: mean of all coils,
-    of the worst, and of all together [W].
+    Columns: number of modes; rms residual wavefront of each of the three bases [nm]; for stiffness
+    modes the force, rms and of the worst actuator [mN], and the power, mean, worst and total [W].
     """
     cost, count = base.costs[0], base.modes.stiffness.size
     rows = []
@@ -51,7 +49,7 @@ def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
 
 
 def measured_text(measured: MeasuredStiffness) -> str:
-    """Say of how many shapes and rows a stiffness is, and how well it is known."""
+    """Return the number of shapes and rows of a stiffness, and its error."""
     m = measured
     return (
         f"{counted(m.shapes, 'shape')}, {counted(m.rows, 'row')}"
@@ -62,14 +60,14 @@ def measured_text(measured: MeasuredStiffness) -> str:
 
 
 def rigid_text(measured: MeasuredStiffness) -> str:
-    """Say which rigid motions no shape holds; nothing where they hold all."""
+    """Return the number of rigid motions that no shape contains; empty if there are none."""
     if not measured.rigid_assumed:
         return ""
     return f"no shape holds {measured.rigid_assumed} of 3 rigid motions: taken to cost nothing"
 
 
 def sensor_gains_text(base: ModalBase) -> str:
-    """Say between which limits gains and places of the sensors lie; nothing where not known."""
+    """Return the range of gains and offsets of the sensors; empty if not known."""
     gain, offset = base.stiffness.enabled_gain, base.stiffness.enabled_offset
     if (gain == 1.0).all() and not offset.any():
         return ""
@@ -78,7 +76,7 @@ def sensor_gains_text(base: ModalBase) -> str:
 
 
 def comparison_text(findings: ModalFindings) -> str:
-    """Say how far the modes taken with alpha = 1 lie from the calibrated; nothing if large."""
+    """Return the difference of the modes with alpha = 1; empty for large mirrors."""
     if not findings.compares:
         return ""
     c = findings.comparison
@@ -93,7 +91,7 @@ def comparison_text(findings: ModalFindings) -> str:
 
 
 def turbulence_text(base: ModalBase) -> str:
-    """Say which turbulence meets how large a mirror."""
+    """Return the turbulence and the size of the mirror."""
     a, pupil = base.seen.atmosphere, base.seen.pupil
     return (
         f"seeing {a.seeing:g} arcsec, r0 {100 * a.fried_parameter:.3g} cm, L0"
@@ -103,7 +101,7 @@ def turbulence_text(base: ModalBase) -> str:
 
 
 def fitting_error_text(base: ModalBase) -> str:
-    """Say what no number of modes takes away."""
+    """Return the wavefront that no modes correct."""
     return (
         f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, whatever the"
         " number of modes"
@@ -111,7 +109,7 @@ def fitting_error_text(base: ModalBase) -> str:
 
 
 def static_force_text(cost: Dissipation) -> str:
-    """Say between which limits the static forces lie."""
+    """Return the range of the static forces."""
     force = 1e3 * cost.static
     if not force.any():
         return "unknown, taken for 0: a stiffness file alone tells no weight"
@@ -119,7 +117,7 @@ def static_force_text(cost: Dissipation) -> str:
 
 
 def headline(findings: ModalFindings) -> str:
-    """Return of what mirror the modes are, how many, and by which alpha."""
+    """Return mirror, number of modes, and the method and scale of alpha."""
     base, c = findings.after, findings.calibration
     count = base.modes.stiffness.size
     return (
@@ -128,7 +126,7 @@ def headline(findings: ModalFindings) -> str:
 
 
 def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
-    """Return name and value of what was found; no value where there is none."""
+    """Return names and texts of the results; some texts are empty."""
     base, measured = findings.after, findings.measured
     asymmetry, imbalance = (
         "".join(f"{percent(fault):<12}" for fault in faults)
@@ -155,7 +153,7 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
 
 
 def lines(findings: ModalFindings, limits: Budget) -> list[str]:
-    """Return what was found, for people."""
+    """Return the lines of the summary."""
     return [
         headline(findings),
         *(row(name, text) for name, text in summary_rows(findings) if text),
@@ -167,7 +165,7 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
 
 
 def _table(base: ModalBase) -> list[str]:
-    """Return residual, force and power against the number of modes."""
+    """Return the table of residual, force and power against the number of modes."""
     bases = tuple(cost.base for cost in base.costs)
     rows = [("modes", *bases, "rms", "worst", "mean", "worst", "total"), *cost_rows(base)]
     widths = [
@@ -186,12 +184,12 @@ def _table(base: ModalBase) -> list[str]:
 
 
 def _plain(value: float, digits: int) -> str:
-    """Return a number with so many digits, thousands and millions without an exponent."""
+    """Return a number with some digits, thousands and millions without an exponent."""
     return f"{value:.{digits}g}" if abs(value) < 1.0 else f"{float(f'{value:.{digits}g}'):.9g}"
 
 
 def _within(findings: ModalFindings, limits: Budget) -> list[str]:
-    """Return how many modes the limits allow, and what alpha has to do with it."""
+    """Return the number of modes within the limits, with and without alpha."""
     asked = (
         (limits.power, "W in the worst coil"),
         (limits.total, "W in all"),
@@ -216,14 +214,14 @@ def _within(findings: ModalFindings, limits: Budget) -> list[str]:
 
 
 def _costs(findings: ModalFindings) -> Iterator[tuple[Dissipation, Dissipation | None]]:
-    """Yield what the modes of each base cost, and would seem to without alpha; None if large."""
+    """Yield the costs of each base with alpha, and with alpha = 1 (None for large mirrors)."""
     after = findings.after.costs
     before = findings.before.costs if findings.compares else (None,) * len(after)
     yield from zip(after, before, strict=True)
 
 
 def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
-    """Return the same figures for a script."""
+    """Return the values for a script."""
     base, measured = findings.after, findings.measured
     values: dict[str, Any] = {
         "instrument": base.matrix.instrument,

@@ -1,0 +1,465 @@
+"""What a plan gives: errors, time, what a third load would show, what to change for a target.
+
+The errors are those of `prediction`, for the forces that the model of the shell gives.
+"""
+
+from __future__ import annotations
+
+import os
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+
+from truenewton.acquisition.load_order import (
+    OrderCost,
+    mounting_variance,
+    mountings,
+    order_cost,
+    order_costs,
+    scale_balance,
+)
+from truenewton.acquisition.plan import CampaignPlan, read_plan
+from truenewton.acquisition.shapes import expected_alpha
+from truenewton.arrays import Array
+from truenewton.errors import LimitExceeded, RankDeficient, TrueNewtonError, located
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.reciprocity.sensor_model import places_of
+from truenewton.estimation.reciprocity.unknowns import Kind, Request
+from truenewton.estimation.screening.screen import campaign_moments
+from truenewton.mirrors.sensor_model import model_sensors
+from truenewton.planning.forces import (
+    Prepared,
+    Strain,
+    noiseless,
+    prepared_bodies,
+    strain,
+    within_limits,
+)
+from truenewton.planning.prediction import (
+    Prediction,
+    predict,
+    predict_with_sensors,
+    sensor_errors,
+    sensor_information,
+)
+from truenewton.progress import tell, telling_of
+from truenewton.records.campaign import Campaign
+from truenewton.rounding import counted
+from truenewton.statics.load import Load
+
+DETECTION_SIGMAS = 3.0  # of an error of a load that a third load shows
+MAX_CYCLES = 999
+FACTORS = 1.0 + 0.1 * np.arange(1, 191)  # 1.1 to 20 times as much
+MAX_TILT, TILT_ERROR = 60, 0.1  # of a mirror that is leaned by hand [deg, guess]
+
+
+def predict_errors(ready: Prepared) -> Prediction:
+    """Return the errors that a plan will give.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    return _predict_for(ready, [ready.plan.cycles])[0]
+
+
+def _predict_for(ready: Prepared, cycles: Sequence[int]) -> list[Prediction]:
+    """Return the errors for several numbers of cycles."""
+    campaign, moments, alpha = _beforehand(ready)
+    return [predict(campaign, moments, r, alpha) for r in cycles]
+
+
+def _beforehand(ready: Prepared) -> tuple[Campaign, Moments, Array]:
+    """Return the campaign without noise, its moments, and alpha of the enabled actuators."""
+    campaign = noiseless(ready)
+    # In a plan shapes repeat over loads and signs.
+    moments = replace(campaign_moments(campaign), pooled=True)
+    return campaign, moments, np.full(moments.mean.shape[1], expected_alpha(ready.mirror))
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Errors of alpha as a function of cycles or weights.
+
+    Attributes
+    ----------
+    values
+        (m,) cycles, or factors of the added weights.
+    error, reading_error, systematic_error
+        (m,) medians of E_ALPHA, E_STAT and E_SYST, relative to alpha.
+    """
+
+    values: Array
+    error: Array
+    reading_error: Array
+    systematic_error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class WithSensors:
+    """What `reciprocity` will give in addition, with a known model of the glass.
+
+    Attributes
+    ----------
+    planned
+        Of alpha; None if reciprocity is not possible.
+    gain_error, offset_error
+        (n,) of the sensor gains, relative, and of the offsets, rms of both axes [m]; 0 if known.
+    against_cycles
+        Of alpha.
+    why_not
+        Why reciprocity is not possible.
+    """
+
+    planned: Prediction | None
+    gain_error: Array
+    offset_error: Array
+    against_cycles: Curve
+    why_not: str = ""
+
+
+def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
+    """Predict the errors of `reciprocity --mirror` for some cycles, including those planned.
+
+    Raises
+    ------
+    RankDeficient
+        The balance alone does not give alpha either.
+    """
+    plan, layout = ready.plan, ready.mirror.layout
+    repeats = 2 * len(plan.loads)
+    try:
+        gained = sensor_information(
+            places_of(layout, model_sensors(ready.glass)),
+            Request(plan.sensors.gain, plan.sensors.offset),
+            *(np.sqrt(repeats) * each[:, layout.enabled] for each in (ready.shapes, ready.force)),
+            force_noise=plan.force_noise,
+            position_noise=plan.sensors.noise,
+        )
+    except RankDeficient as error:
+        return WithSensors(None, np.empty(0), np.empty(0), _curve([], []), error.fault)
+    campaign, moments, alpha = _beforehand(ready)
+    made = [predict_with_sensors(campaign, moments, gained, r, alpha) for r in cycles]
+    curve = _curve(list(map(float, cycles)), made)
+    errors, nothing = sensor_errors(gained, plan.cycles), np.zeros(len(alpha))
+    gain, x, y = (errors.get(kind, nothing) for kind in (Kind.GAIN, Kind.X, Kind.Y))
+    planned = made[cycles.index(plan.cycles)]
+    return WithSensors(planned, gain, np.asarray(np.hypot(x, y) / np.sqrt(2)), curve)
+
+
+@dataclass(frozen=True)
+class ThirdLoad:
+    """What a third load would show that two cannot, and its cost.
+
+    With two loads, the scale and the bias magnets fit any sums of the forces. With three, one
+    equation is left, v'(S + W / s) = 0 with v orthogonal to S and to 1: a wrong weight violates it,
+    and so does anything that carries part of the weight. The third load is as heavy and as well
+    known as the one that gives the scale.
+
+    Attributes
+    ----------
+    like
+        Name of the load that it equals, and whose errors it shows.
+    seen
+        Smallest detectable error of that load, or part of it carried by something else [N].
+    relative
+        The same relative to the difference between the loads: the undetected error of the scale.
+    duration, mountings
+        Additional time [s] and mountings.
+    error, error_now
+        Of the scale with and without it, drift and mounting included.
+    """
+
+    like: str
+    seen: float
+    relative: float
+    duration: float
+    mountings: int
+    error: float
+    error_now: float
+
+
+def third_load(ready: Prepared) -> ThirdLoad | None:
+    """Return what a third load would show; None if there are three, or no scale."""
+    plan, mirror, shapes = ready.plan, ready.mirror, len(ready.shapes)
+    now = order_cost(plan, mirror, shapes)
+    balance = scale_balance(plan, mirror, shapes)
+    if now is None or balance is None or len(np.unique(balance.held)) > 2:
+        return None
+    apart = np.abs(balance.held - balance.held[0])
+    watched = int(apart.argmax())
+    like = plan.loads[watched]
+    taken = {load.key for load in plan.loads}
+    name = next(name for k in range(len(taken) + 1) if (name := f"third{k or ''}") not in taken)
+    wider = replace(plan, loads=(*plan.loads, replace(like, name=name, tool=None)))
+    then, with_it = order_cost(wider, mirror, shapes), scale_balance(wider, mirror, shapes)
+    if then is None or with_it is None:
+        return None
+    # Residual of least squares for a step in the sum of one load.
+    design = np.column_stack([with_it.held, np.ones_like(with_it.held)])
+    moved = np.diag(mounting_variance(wider, with_it))
+    inverse = np.linalg.inv(with_it.covariance + moved)
+    step = np.eye(len(wider.loads))[watched]
+    fitted = design @ np.linalg.solve(design.T @ inverse @ design, design.T @ inverse @ step)
+    seen = DETECTION_SIGMAS / float(np.sqrt(step @ inverse @ (step - fitted)))
+    return ThirdLoad(
+        like=like.name,
+        seen=seen,
+        relative=seen / float(apart[watched]),
+        duration=then.duration - now.duration,
+        mountings=then.changes - now.changes,
+        error=then.error,
+        error_now=now.error,
+    )
+
+
+def duration(plan: CampaignPlan, shapes: int) -> float:
+    """Return the duration of a plan [s]: shapes with both signs, and the changes of load."""
+    return mountings(plan, shapes)[-1].end
+
+
+@dataclass(frozen=True, eq=False)
+class PlanPrediction:
+    """All that is predicted of a plan.
+
+    Attributes
+    ----------
+    ready, prediction, strain
+        The plan with its forces, the errors, and the largest force and stroke.
+    duration
+        [s]
+    against_cycles, against_weight
+        Errors against cycles, and against factors of the added weights (empty if there are none).
+    warnings
+        Each with its remedy.
+    orders
+        Cost of each number of turns, one first; empty if the scale is free.
+    third_load
+        What a third load would show; None if there are three, or no scale.
+    reciprocity
+        What reciprocity will give.
+    """
+
+    ready: Prepared
+    prediction: Prediction
+    strain: Strain
+    duration: float
+    against_cycles: Curve
+    against_weight: Curve
+    warnings: tuple[Finding, ...]
+    orders: tuple[OrderCost, ...]
+    third_load: ThirdLoad | None
+    reciprocity: WithSensors
+
+
+def predict_plan(path: str | os.PathLike[str]) -> PlanPrediction:
+    """Predict the errors of the plan in a file; of a segmented mirror those of the worst segment.
+
+    Parameters
+    ----------
+    path
+        The plan (TOML).
+
+    Raises
+    ------
+    TrueNewtonError
+        The plan or a file that it names is invalid, or exceeds its limits.
+
+    Examples
+    --------
+    >>> outcome = tn.predict_plan("day.toml")
+    >>> outcome.prediction.error.shape
+    (45,)
+    """
+    plan = read_plan(path)
+    tell("forces and errors")
+    try:
+        bodies = map(predict_prepared, prepared_bodies(plan, Path(path).parent))
+        return max(bodies, key=lambda one: one.prediction.typical_errors)
+    except TrueNewtonError as error:
+        raise located(error, path) from None
+
+
+def predict_prepared(ready: Prepared) -> PlanPrediction:
+    """Predict the errors of a plan whose forces are known.
+
+    Raises
+    ------
+    LimitExceeded, RankDeficient, FormatError
+    """
+    asked, cycles = strain(ready), _cycles_around(ready.plan.cycles)
+    by_cycles = _predict_for(ready, cycles)
+    prediction = by_cycles[cycles.index(ready.plan.cycles)]
+    warnings = prediction.diagnosis.warnings
+    limit = ready.plan.limits.force
+    if asked.force_at_worst > limit:
+        warnings += (
+            Finding.of(
+                Code.PLANNED_FORCE_TOO_LARGE,
+                alpha=min(ready.mirror.alpha_range),
+                force=asked.force_at_worst,
+                limit=limit,
+            ),
+        )
+    tell("what the sensors will see besides", 0.3)
+    sensors = with_sensors(ready, cycles)
+    tell("errors against cycles and weight", 0.9)
+    return PlanPrediction(
+        ready,
+        prediction,
+        asked,
+        duration(ready.plan, len(ready.shapes)),
+        _curve(list(map(float, cycles)), by_cycles),
+        _curve(*_by_weight(ready)),
+        warnings,
+        order_costs(ready.plan, ready.mirror, len(ready.shapes)),
+        third_load(ready),
+        sensors,
+    )
+
+
+def _cycles_around(planned: int) -> list[int]:
+    """Return powers of two and the cycles of the plan."""
+    most = max(64, 4 * planned)
+    return sorted({2**k for k in range(10) if 2**k <= most} | {planned})
+
+
+def _by_weight(ready: Prepared) -> tuple[list[float], list[Prediction]]:
+    """Predict errors for multiples of the planned added weights, within the limits."""
+    added = any(load.added for load in ready.plan.loads)
+    factors = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0] if added else []
+    heavier = (ready.changed(with_added(ready.plan, factor)) for factor in factors)
+    predictions = [predict_errors(each) for each in takewhile(within_limits, heavier)]
+    return factors[: len(predictions)], predictions
+
+
+def with_added(plan: CampaignPlan, factor: float) -> CampaignPlan:
+    """Return the plan with added weights multiplied by a factor, their errors unchanged."""
+    heavier = tuple(replace(one, added=float(f"{factor * one.added:.6g}")) for one in plan.loads)
+    return replace(plan, loads=heavier)
+
+
+def _curve(values: list[float], predictions: list[Prediction]) -> Curve:
+    errors = np.array([one.typical_errors for one in predictions]).reshape(-1, 3)
+    return Curve(np.array(values), *errors.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change of one property of a plan.
+
+    Attributes
+    ----------
+    what
+        'cycles', 'added weight', 'balance', 'tilt' or 'shapes'.
+    reached
+        Whether it reaches the wanted error.
+    change
+        Description of the change, or why there is none.
+    plan
+        The changed plan; None if there is no such change.
+    error
+        Its median E_ALPHA relative to alpha.
+    duration
+        [s]
+    """
+
+    what: str
+    reached: bool
+    change: str
+    plan: CampaignPlan | None
+    error: float
+    duration: float
+
+
+def suggest_changes(ready: Prepared, target: float) -> tuple[Change, ...]:
+    """Return the smallest change of each property alone that reaches a target, within the limits.
+
+    The target is the wanted median over actuators of E_ALPHA relative to alpha.
+    """
+    plan = ready.plan
+    ladders = (
+        ("cycles", _more_cycles(plan), "there are as many as may be"),
+        ("added weight", _heavier(plan), "no load has an added weight"),
+        ("balance", _better_known(plan), "no added weight has an error"),
+        ("tilt", _tilted(plan), ""),
+        ("shapes", _larger(ready), "they are given, or at their limits"),
+    )
+    tried = telling_of(ladders, len(ladders), "changes tried")
+    return tuple(_smallest(ready, target, *ladder) for ladder in tried)
+
+
+# Descriptions and plans, each changed more than those before it.
+Ladder = Iterator[tuple[str, CampaignPlan]]
+
+
+def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing: str) -> Change:
+    """Return the first change that reaches the target, or the last within the limits."""
+
+    def breaks(change: tuple[str, CampaignPlan]) -> bool:
+        return not within_limits(ready.changed(change[1]))
+
+    def error(change: tuple[str, CampaignPlan]) -> float:
+        return predict_errors(ready.changed(change[1])).typical
+
+    changes = tuple(ladder)
+    allowed = changes[: bisect_left(changes, True, key=breaks)]
+    if not allowed:
+        why = "the limits allow no more" if changes else nothing
+        return Change(what, False, why, None, float("nan"), float("nan"))
+    chosen = allowed[-1]
+    reached = error(chosen) <= target
+    if reached:
+        chosen = allowed[bisect_left(allowed, True, key=lambda change: error(change) <= target)]
+    words, plan = chosen
+    return Change(what, reached, words, plan, error(chosen), duration(plan, len(ready.shapes)))
+
+
+def _more_cycles(plan: CampaignPlan) -> Ladder:
+    for cycles in range(plan.cycles + 1, MAX_CYCLES + 1):
+        yield counted(cycles, "cycle"), replace(plan, cycles=cycles)
+
+
+def _heavier(plan: CampaignPlan) -> Ladder:
+    if any(load.added for load in plan.loads):
+        for factor in FACTORS.tolist():
+            heavier = with_added(plan, factor)
+            words = (f"'{one.name}' {one.added:g} N" for one in heavier.loads if one.added)
+            yield ", ".join(words), heavier
+
+
+def _better_known(plan: CampaignPlan) -> Ladder:
+    uncertain = [load for load in plan.loads if load.added_error]
+    for factor in FACTORS.tolist() if uncertain else ():
+        loads = tuple(
+            replace(one, added_error=float(f"{one.added_error / factor:.3g}")) for one in plan.loads
+        )
+        words = (f"'{one.name}' known to {1e3 * one.added_error:g} mN" for one in loads
+                 if one.added_error)  # fmt: skip
+        yield ", ".join(words), replace(plan, loads=loads)
+
+
+def _tilted(plan: CampaignPlan) -> Ladder:
+    taken = {load.key for load in plan.loads}
+    name = next(name for k in range(len(taken) + 1) if (name := f"tilted{k or ''}") not in taken)
+    for tilt in range(1, MAX_TILT + 1):
+        load = Load(name, tilt=float(tilt), tilt_error=TILT_ERROR)
+        words = f"a load tilted by {tilt:g} deg, known to {TILT_ERROR:g} deg"
+        yield words, replace(plan, loads=(*plan.loads, load))
+
+
+def _larger(ready: Prepared) -> Ladder:
+    plan, shapes = ready.plan, ready.plan.shapes
+    for factor in () if ready.given else FACTORS.tolist():
+        larger = replace(shapes, stroke=factor * shapes.stroke, force=factor * shapes.force)
+        try:
+            wider = replace(plan, shapes=larger)
+        except LimitExceeded:
+            return
+        yield f"up to {1e6 * larger.stroke:.3g} um and {larger.force:.3g} N", wider

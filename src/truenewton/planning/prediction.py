@@ -1,0 +1,316 @@
+"""The errors that a calibration will state, from the forces of a plan, before it is measured.
+
+Noiseless forces and the sums of the likelihood give the information on alpha that noisy readings
+will contain (Fisher's; its inverse is the bound of Cramer and Rao) and the covariance that the
+estimator will state. The code is that of the estimator, at the truth instead of at the minimum.
+
+For reciprocity, the information of one cycle of the shapes comes from its fit at the truth; the
+mean forces under the loads go through the likelihood of `ml`, as in a fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.arrays import Array
+from truenewton.estimation.campaign_ml import patterns_near_noise, tolerable, with_patterns_held
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import Diagnosis, ScaleError
+from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.scale_budget import scale_errors, typical
+from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.likelihood.objective import expected
+from truenewton.estimation.paper.identifiability import (
+    describe_pattern,
+    load_fault,
+    refuse,
+    structural_faults,
+)
+from truenewton.estimation.problem import Problem, problem_of
+from truenewton.estimation.readings.moments import Moments, ShapeSums
+from truenewton.estimation.reciprocity.campaign import alpha_information, mean_forces
+from truenewton.estimation.reciprocity.information import information
+from truenewton.estimation.reciprocity.iteration import point_at
+from truenewton.estimation.reciprocity.regression import Regressed, refuse_unheld
+from truenewton.estimation.reciprocity.sensor_model import Places
+from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.linalg import largest_eigenvalue
+from truenewton.records.campaign import Campaign
+from truenewton.statics.layout import Layout
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The errors that a calibration will state, of the n enabled actuators.
+
+    Attributes
+    ----------
+    layout
+        The actuators, disabled ones included.
+    alpha
+        (n,) the alpha that was assumed.
+    reading_covariance, systematic_covariance
+        (n, n) covariance of alpha from the readings and from the weights.
+    scale_errors
+        Budget of the common scale, largest first; empty where the scale is free.
+    diagnosis
+        Weak patterns; its undetermined ones will hardly exceed the noise.
+    """
+
+    layout: Layout
+    alpha: Array
+    reading_covariance: Array
+    systematic_covariance: Array
+    scale_errors: tuple[ScaleError, ...]
+    diagnosis: Diagnosis
+
+    @property
+    def scale_is_free(self) -> bool:
+        """Whether no two loads differ in weight, so that only patterns of alpha are known."""
+        return not self.scale_errors
+
+    @property
+    def reading_error(self) -> Array:
+        """(n,) E_STAT; of patterns alone where the scale is free."""
+        return np.sqrt(np.diag(self.reading_covariance))
+
+    @property
+    def systematic_error(self) -> Array:
+        """(n,) E_SYST; infinite where the scale is free."""
+        if self.scale_is_free:
+            return np.full(len(self.alpha), np.inf)
+        return np.sqrt(np.diag(self.systematic_covariance))
+
+    @property
+    def error(self) -> Array:
+        """(n,) E_ALPHA."""
+        return np.hypot(self.reading_error, self.systematic_error)
+
+    @property
+    def typical_errors(self) -> tuple[float, float, float]:
+        """Medians over actuators of E_ALPHA, E_STAT and E_SYST, relative to alpha."""
+        error, statistical, systematic = (
+            typical(each, self.alpha)
+            for each in (self.error, self.reading_error, self.systematic_error)
+        )
+        return error, statistical, systematic
+
+    @property
+    def typical(self) -> float:
+        """Median over actuators of E_ALPHA relative to alpha."""
+        return self.typical_errors[0]
+
+
+def predict(
+    campaign: Campaign, moments: Moments, cycles: int = 1, alpha: Array | None = None
+) -> Prediction:
+    """Predict the errors of alpha from noiseless forces.
+
+    Parameters
+    ----------
+    campaign
+        One cycle for each load with the forces that would be commanded without noise; with alpha
+        they balance. FORCERR is the noise that one reading will have.
+    moments
+        Of this campaign.
+    cycles
+        How many times each cycle will be run.
+    alpha
+        (n,) of the enabled actuators; 1 by default.
+
+    Raises
+    ------
+    RankDeficient
+        The shapes or the actuators cannot determine alpha, whatever the noise.
+    """
+    known = pose_known_truth(campaign, moments, alpha)
+    of_loads, *elastic = known.problem.data(moments)
+    data = [replace(of_loads, sums=repeated(of_loads.sums, cycles)), *elastic]
+    minimum = expected(known.problem.a, data, known.problem.prior, known.values)
+    return state_errors(known, minimum, patterns_near_noise(minimum, of_loads.sums.shapes))
+
+
+@dataclass(frozen=True, eq=False)
+class KnownTruth:
+    """The problem of a campaign whose truth is known.
+
+    Attributes
+    ----------
+    problem
+        With the common scale constrained if it is free.
+    values
+        (u,) unknowns for which the forces balance.
+    free
+        Why the common scale is free; None if it is not.
+    """
+
+    problem: Problem
+    values: Array
+    free: Finding | None
+
+
+def pose_known_truth(campaign: Campaign, moments: Moments, alpha: Array | None) -> KnownTruth:
+    """Pose the problem of a campaign without noise and with known (n,) alpha, see `predict`.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    free = load_fault(campaign)
+    refuse(fault for fault in structural_faults(campaign, moments) if fault != free)
+    problem = problem_of(campaign, reading_noise(campaign, moments))
+    alpha = np.ones(problem.n) if alpha is None else alpha
+    values = _true_values(problem, moments, alpha)
+    if free:
+        problem = with_patterns_held(problem, alpha[:, None] / np.linalg.norm(alpha))
+    return KnownTruth(problem, values, free)
+
+
+def state_errors(known: KnownTruth, minimum: Minimum, undetermined: int = 0) -> Prediction:
+    """Return the errors that an estimate from such a minimum will state."""
+    problem, n = known.problem, known.problem.n
+    layout, alpha = problem.campaign.layout, known.values[:n]
+    reading_covariance, changes = minimum.reading_covariance[:n, :n], minimum.changes[:n]
+    warnings = (known.free, _undetermined(undetermined, n))
+    value, vector = largest_eigenvalue(reading_covariance)
+    return Prediction(
+        layout=layout,
+        alpha=alpha,
+        reading_covariance=reading_covariance,
+        systematic_covariance=changes @ changes.T,
+        scale_errors=()
+        if known.free
+        else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
+        diagnosis=Diagnosis(
+            undetermined=undetermined,
+            warnings=tuple(warning for warning in warnings if warning),
+            weakest=describe_pattern(vector, layout),
+            weakest_share=value / float(np.trace(reading_covariance)),
+        ),
+    )
+
+
+def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
+    """Return the (u,) unknowns for which the forces balance: alpha, B, torques, no error."""
+    sums = moments.sums
+    mean = sums.force / sums.weight[:, None]
+    k = -(mean * alpha) @ problem.a.T  # (W + B, M_y, -M_x) of each load
+    unknowns = problem.unknowns
+    values = np.zeros(unknowns.total)
+    values[unknowns.alpha] = alpha
+    values[unknowns.bias] = np.mean(k[:, 0] - problem.campaign.effective_weights)
+    values[unknowns.torques] = (k[:, 1:] * [1.0, -1.0]).ravel()
+    return values
+
+
+def repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
+    """Return the sums over the same shapes, each read in so many cycles."""
+    names = ("weight", "force", "square", "known", "known_force", "known_square")
+    return replace(sums, **{name: cycles * getattr(sums, name) for name in names})
+
+
+def _undetermined(undetermined: int, n: int) -> Finding | None:
+    """Return a finding of patterns that noise will dominate, or of a refusal because of them."""
+    if not undetermined:
+        return None
+    usable = tolerable(Diagnosis(undetermined=undetermined, span=n), n)
+    code = Code.PLANNED_WEAK_PATTERNS if usable else Code.PLANNED_REFUSAL
+    return Finding.of(code, count=undetermined)
+
+
+@dataclass(frozen=True, eq=False)
+class SensorInformation:
+    """The information of one cycle of the shapes on alpha and on the sensors.
+
+    Attributes
+    ----------
+    asked
+        The unknowns.
+    data
+        (u, u) information on the unknowns, relative alpha first; proportional to the cycles.
+    """
+
+    asked: Request
+    data: Array
+
+    def after(self, cycles: int) -> Array:
+        """Return (u, u) the information of so many cycles and of what is known before."""
+        n = len(self.data) // len(self.asked.kinds)
+        return np.asarray(cycles * self.data + np.diag(self.asked.information(n)))
+
+
+def sensor_information(
+    places: Places,
+    asked: Request,
+    shapes: Array,
+    force: Array,
+    *,
+    force_noise: float,
+    position_noise: float,
+) -> SensorInformation:
+    """Return the information of noiseless forces and readings on relative alpha and the sensors.
+
+    Parameters
+    ----------
+    places
+        Of the n enabled actuators, with the model of their sensors.
+    asked
+        The unknowns of the sensors.
+    shapes, force
+        (N, n) readings [m] and commanded forces [N] of one cycle under all loads, less those at
+        rest: every shape has both signs, so that their means are 0.
+    force_noise, position_noise
+        Standard deviations of one reading [N], [m].
+
+    Raises
+    ------
+    RankDeficient
+        No shape contains some motion of the mirror.
+    """
+    square = shapes.T @ shapes
+    refuse_unheld(square)
+    stiffness = np.asarray(np.linalg.solve(square, shapes.T @ force).T)
+    noise = force_noise**2 * np.eye(places.n) + position_noise**2 * stiffness @ stiffness.T
+    states = Regressed(stiffness, square, np.asarray(noise)).states
+    point = point_at(places, at_nominal(places.n), asked, states)
+    return SensorInformation(asked, information(point)[0])
+
+
+def predict_with_sensors(
+    campaign: Campaign, moments: Moments, gained: SensorInformation, cycles: int, alpha: Array
+) -> Prediction:
+    """Predict the errors of alpha by reciprocity, as `predict` does those by `ml`.
+
+    Parameters
+    ----------
+    campaign, moments, cycles, alpha
+        See `predict`.
+    gained
+        Of the same shapes.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    known = pose_known_truth(campaign, moments, alpha)
+    problem = known.problem
+    of_loads = mean_forces(problem, moments)
+    data = replace(of_loads, sums=repeated(of_loads.sums, cycles))
+    relative = alpha_information(gained.after(cycles), gained.asked) / np.outer(alpha, alpha)
+    minimum = expected(problem.a, [data], problem.prior.with_more(relative), known.values)
+    return state_errors(known, minimum)
+
+
+def sensor_errors(gained: SensorInformation, cycles: int) -> dict[Kind, Array]:
+    """Return the (n,) errors of log gains and of offsets [m], as far as they are unknown."""
+    whole, kinds = gained.after(cycles), gained.asked.kinds
+    n = len(whole) // len(kinds)
+    whole[:n, :n] += np.trace(whole[:n, :n]) / n**2  # relative alpha alone
+    unit = 1.0 / np.sqrt(np.diag(whole))
+    inverse = scipy.linalg.inv(unit[:, None] * whole * unit, check_finite=False)
+    errors = np.split(unit * np.sqrt(np.diag(inverse)), len(kinds))
+    return dict(zip(kinds[1:], errors[1:], strict=True))
