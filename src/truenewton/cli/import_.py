@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def run(
     matrix: Path = typer.Argument(
-        ..., metavar="MATRIX", help="FITS, .npy, CSV or text, HDF5, YAML, .mat, .sav; or a folder."
+        ..., metavar="MATRIX", help="FITS, .npy, CSV or text, HDF5, .mat, .sav; or a folder."
     ),
     coordinates: Path | None = typer.Argument(
         None, metavar="POSITIONS", help="Likewise; or a folder of a supervisor's configuration."

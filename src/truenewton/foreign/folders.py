@@ -1,9 +1,8 @@
 """What lies in a folder of other software: which layout it is, its matrix and its positions.
 
-A supervisor's (`supervisor`), or of opticalib: a configuration folder with
+A supervisor's (`supervisor`), or a configuration folder of opticalib with
 `ActuatorsCoordinates.fits` (n, 2) [mm], beside which its mirror's `ff` was saved as
-`ff_matrix.fits`; the data of its simulated DP, `dp_ffwd.fits` and `dp_coords.fits` (n, 2) [m],
-positions of both shells mixed; or of its simulated M4, `m4_data.h5`.
+`ff_matrix.fits`.
 """
 
 from __future__ import annotations
@@ -21,8 +20,6 @@ from truenewton.foreign.stored import Stored, read_stored
 from truenewton.statics.layout import Layout
 
 OPTICALIB_POSITIONS = "ActuatorsCoordinates.fits"
-DP_MATRIX, DP_POSITIONS = "dp_ffwd.fits", "dp_coords.fits"
-M4_DATA = "m4_data.h5"
 
 
 class Folder(NamedTuple):
@@ -93,35 +90,14 @@ def read_folder(folder: Path, positions: Path | None, mirror: Layout | None) -> 
         if found is not None and chosen is not found and numbers is not None:
             by_ring = supervisor.chosen(found, supervisor.numbers_of(channels, numbers), file)
         return Folder(kind, matrix, chosen, file, "", unit, by_channel, channels, by_ring)
-    if DP_MATRIX in there:
-        matrix = read_stored(there[DP_MATRIX])
-        at = file or there.get(DP_POSITIONS)
-        places = None if at is None else _by_shell(places_in(read_stored(at)))
-        return Folder("opticalib's DP", matrix, places, at, "by shell", "m")
     if supervisor.MATRIX in there:
         matrix = read_stored(there[supervisor.MATRIX])
         at = file or supervisor.find(OPTICALIB_POSITIONS, folder, conf)
         places = None if at is None else places_in(read_stored(at))
         return Folder("opticalib's configuration", matrix, places, at)
-    if M4_DATA in there:
-        matrix = read_stored(there[M4_DATA])
-        at = file or there[M4_DATA]
-        return Folder("opticalib's M4", matrix, places_in(read_stored(at) if file else matrix), at)
     raise FormatError(
         "is a folder of no layout that is known here",
         remedy=f"give the matrix itself, or a folder with {supervisor.MATRIX} and"
-        f" {supervisor.CHANNELS}, with {supervisor.MATRIX} and {OPTICALIB_POSITIONS}, with"
-        f" {DP_MATRIX} and {DP_POSITIONS}, or with {M4_DATA}",
+        f" {supervisor.CHANNELS}, or with {supervisor.MATRIX} and {OPTICALIB_POSITIONS}",
         path=folder,
     )
-
-
-def _by_shell(places: Places | None) -> Places | None:
-    """Return positions of the upper shell before those of the lower, as opticalib sorts them."""
-    if places is None:
-        return None
-    y = np.asarray(places.y, dtype=float).ravel()
-    upper = y > y.max() / 2
-    order = np.concatenate([np.flatnonzero(upper), np.flatnonzero(~upper)])
-    x = np.asarray(places.x, dtype=float).ravel()
-    return Places(x[order], y[order], places.unit)

@@ -75,7 +75,7 @@ def stiffness_from(
     ----------
     matrix
         (n, n) forces of actuators, in rows, per displacement of sensors: an array, Quantity, file
-        (FITS, .npy, .npz, CSV, text, HDF5, YAML, .mat, .sav), supervisor's or opticalib's folder.
+        (FITS, .npy, .npz, CSV, text, HDF5, .mat, .sav), supervisor's or opticalib's folder.
     coordinates
         (n, 2) or (2, n) positions: an array, Quantity, layout, file, or folder of a supervisor's
         configuration; None where they stand beside the matrix.

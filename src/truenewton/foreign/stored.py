@@ -18,7 +18,7 @@ from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
 from truenewton.files.hdf5 import unit_of
 from truenewton.files.opening import GZIP, open_plain
-from truenewton.foreign.text import read_text, text_of
+from truenewton.foreign.text import read_text
 
 
 class Item(NamedTuple):
@@ -64,8 +64,6 @@ def read_stored(path: str | os.PathLike[str]) -> Stored:
         for magic, read in READERS.items():
             if start.startswith(magic):
                 return read(path)
-        if path.lower().endswith((".yaml", ".yml")):
-            return _yaml(path)
         table = read_text(path)
         arrays = {} if table.values is None else {"": Item(table.values)}
         return Stored(path, arrays, {name: Item(c) for name, c in table.columns.items()})
@@ -161,42 +159,6 @@ def _idl(path: str) -> Stored:
         return _gathered(path, scipy.io.readsav(path))
 
 
-def _yaml(path: str) -> Stored:
-    import yaml
-
-    held = yaml.safe_load(text_of(path))
-    named: dict[str, Any] = {}
-    _walk(held, "", named)
-    return _gathered(path, named)
-
-
-def _walk(held: Any, name: str, found: dict[str, Any]) -> None:
-    """Gather lists of a tree by their names; of a list of alike mappings, as of actuators, columns.
-
-    The first of a name counts.
-    """
-    if isinstance(held, dict):
-        for key, value in held.items():
-            _walk(value, str(key), found)
-    elif isinstance(held, list) and held and all(isinstance(row, dict) for row in held):
-        for key in held[0]:
-            found.setdefault(str(key), [row.get(key) for row in held])
-    elif isinstance(held, list):
-        found.setdefault(name, held)
-
-
-def _ecsv(path: str) -> Stored:
-    from astropy.table import Table as AstropyTable
-
-    table = AstropyTable.read(path, format="ascii.ecsv")
-    columns = {}
-    for name in table.colnames:
-        numbers = plain(table[name])
-        if numbers is not None:
-            columns[name] = Item(numbers, str(table[name].unit or ""))
-    return Stored(path, {}, columns)
-
-
 READERS = {
     START: _fits,
     GZIP: _fits,
@@ -205,5 +167,4 @@ READERS = {
     b"\x89HDF": _hdf5,
     b"MATLAB": _matlab,
     b"SR\x00": _idl,
-    b"# %ECSV": _ecsv,
 }

@@ -20,6 +20,7 @@ from truenewton.files.opening import MOST_UNPACKED, open_plain
 from truenewton.rounding import counted
 
 COMMENT = "#;%!"
+ECSV = "# %ECSV"
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
@@ -65,7 +66,7 @@ def text_of(path: str | os.PathLike[str]) -> str:
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", "replace")
     if b"\0" in raw:
-        remedy = "give FITS, .npy, .npz, CSV or text, ECSV, HDF5, YAML, .mat or .sav"
+        remedy = "give FITS, .npy, .npz, CSV or text, HDF5, .mat or .sav"
         raise UnreadableFile("is of no kind that is read here", remedy=remedy, path=path)
     try:
         return raw.decode("utf-8-sig")
@@ -82,6 +83,9 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
     """
     # A tab may stand for an empty cell in the corner, unless every line begins with one.
     whole = text_of(path).splitlines()
+    if whole and whole[0].startswith(ECSV):  # units in its comments would be lost
+        remedy = "give CSV, with units in the names of its columns, as 'x [mm]'"
+        raise UnreadableFile("is ECSV", remedy=remedy, path=path)
     every = [Line(number, text.strip(" ")) for number, text in enumerate(whole, 1) if text.strip()]
     if all(line.text.startswith("\t") for line in every):
         every = [Line(line.number, line.text.strip()) for line in every]
