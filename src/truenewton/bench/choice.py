@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import ClassVar
 
-from truenewton.arrays import in_units
+import numpy as np
+
+from truenewton.quantities import Quantity, convert_quantities
 
 # What each kind of bench takes from a plan.
 KINDS = {
@@ -33,6 +36,11 @@ class BenchChoice:
         With which to log on to an OPC UA server.
     """
 
+    QUANTITIES: ClassVar = {
+        "seed": Quantity("", 0, np.inf, "give zero or more"),
+        "force_noise": Quantity("N", 0.0, 1e9),
+    }
+
     kind: str = "simulated"
     address: str = ""
     seed: int = 1
@@ -45,7 +53,7 @@ class BenchChoice:
     server_certificate: str = ""
 
     def __post_init__(self) -> None:
-        in_units(self, {"force_noise": "N"})
+        convert_quantities(self)
 
 
 def foreign_keys(choice: BenchChoice) -> list[str]:

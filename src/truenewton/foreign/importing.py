@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse.csgraph
 from numpy.typing import ArrayLike, NDArray
 
-from truenewton.arrays import Array, taking_units
+from truenewton.arrays import Array
 from truenewton.calibration.exclusion import require_known
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
 from truenewton.foreign.choice import MOST_NAMED
@@ -22,6 +22,7 @@ from truenewton.foreign.positions import Positions
 from truenewton.foreign.soundness import Judged, OtherOrder, judge, silent_actuators, turned_sign
 from truenewton.foreign.stiffness_unit import in_newton_per_metre
 from truenewton.foreign.stored import read_stored
+from truenewton.quantities import taking_units
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout, layout
 

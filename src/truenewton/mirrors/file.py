@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,10 @@ from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
 from truenewton.mirrors.tables import layout_in, outline_in
+from truenewton.quantities import check_quantities
 from truenewton.records.file import SUFFIXES
 from truenewton.records.segment import require_segment
 from truenewton.statics.layout import FARTHEST, Layout
-
-MOST = 1e15  # of any number of a mirror, stiff glass included
-LEAST_ALPHA = 1e-3  # below and above its inverse the unit of force is wrong
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,23 +139,13 @@ def _mirror_in(path: Path) -> Mirror:
         raise _is_segmented(str(path))
     tables, points = _with_points(tables, path)
     written = _within_reach(filled(_Written, tables, path), points)
-    _refuse_absurd(written, path)
-    for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
-                      ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0),
-                      ("vent_radius", 0.0), ("tool_radius", 0.0)):  # fmt: skip
-        value, high = getattr(written, name) or 0.0, 0.0 if low < 0 else np.inf
-        if not low <= value <= high or np.isinf(value):
-            raise FormatError(
-                f"{name} is {value:g}",
-                remedy="weights are negative (z points up), the rest is not",
-                path=path,
-            )
-    low, high = written.alpha_range
-    if not LEAST_ALPHA <= low <= high <= 1.0 / LEAST_ALPHA:
+    try:
+        check_quantities(written)
+    except FormatError as error:
+        raise located(error, path) from None
+    if written.alpha_range[0] > written.alpha_range[1]:
         raise FormatError(
-            f"alpha_range is {list(written.alpha_range)}",
-            remedy="give the lowest and highest alpha, positive and near 1",
-            path=path,
+            f"alpha_range is {list(written.alpha_range)}", remedy="lowest first", path=path
         )
     if abs(written.coil_gradient) * written.gap >= 1.0:
         raise FormatError(
@@ -236,28 +223,3 @@ def _check_reach(outline: Outline) -> None:
             f"the outline reaches {furthest:.3g} m from the axis",
             remedy="x and y are metres; check their unit",
         )
-
-
-def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
-    """Refuse numbers that are a slip of the unit in any mirror, their squares to stay numbers."""
-    for field in fields(written):
-        value = getattr(written, field.name)
-        if is_dataclass(value):
-            _refuse_absurd(value, path, f"{inside}{field.name}.")
-        sizes = np.abs(list(_numbers(value)))
-        flat = field.default == np.inf and value == np.inf  # no radius of curvature
-        if not (flat or (sizes <= MOST).all()):
-            raise FormatError(
-                f"{inside}{field.name} is {value}",
-                remedy=f"check its unit; numbers are in SI units, up to {MOST:g}",
-                path=path,
-            )
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    """Yield the numbers in tuples of tuples, as long as they like."""
-    if isinstance(value, tuple):
-        for part in value:
-            yield from _numbers(part)
-    elif isinstance(value, float):
-        yield value

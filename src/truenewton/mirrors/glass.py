@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from truenewton.arrays import Array, in_units
+from truenewton.arrays import Array
 from truenewton.errors import GeometryError
+from truenewton.quantities import Quantity, convert_quantities
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,13 @@ class Annulus:
         Radii that make neither.
     """
 
+    QUANTITIES: ClassVar = {"inner_radius": Quantity("m"), "outer_radius": Quantity("m")}
+
     inner_radius: float = 8e-3
     outer_radius: float = 12.5e-3
 
     def __post_init__(self) -> None:
-        in_units(self, {"inner_radius": "m", "outer_radius": "m"})
+        convert_quantities(self)
         if not (0 <= self.inner_radius <= self.outer_radius and 0 < self.outer_radius < np.inf):
             raise GeometryError(
                 f"a sensor from {self.inner_radius:.6g} m to {self.outer_radius:.6g} m",
@@ -53,8 +57,6 @@ def rim(puck_radius: float) -> Annulus | None:
     return Annulus(puck_radius, puck_radius) if puck_radius else None
 
 
-SHELL_UNITS = {"inner_radius": "m", "outer_radius": "m", "thickness": "m", "young_modulus": "Pa",
-               "poisson_ratio": "", "density": "kg/m3", "radius_of_curvature": "m"}  # fmt: skip
 Polygon = tuple[tuple[float, float], ...]
 
 
@@ -72,6 +74,10 @@ class Outline:
         Length of the sides of the finite elements [m]; a third of the actuators' spacing where it
         is not given.
     """
+
+    QUANTITIES: ClassVar = {
+        "edge": Quantity("m"), "holes": Quantity("m"), "mesh_size": Quantity("m"),
+    }  # fmt: skip
 
     edge: Polygon
     holes: tuple[Polygon, ...] = ()
@@ -103,6 +109,12 @@ class Shell:
         None of an annulus.
     """
 
+    QUANTITIES: ClassVar = {
+        "inner_radius": Quantity("m"), "outer_radius": Quantity("m"), "thickness": Quantity("m"),
+        "young_modulus": Quantity("Pa"), "poisson_ratio": Quantity(), "density": Quantity("kg/m3"),
+        "radius_of_curvature": Quantity("m"),
+    }  # fmt: skip
+
     inner_radius: float
     outer_radius: float
     thickness: float
@@ -113,7 +125,7 @@ class Shell:
     outline: Outline | None = None
 
     def __post_init__(self) -> None:
-        in_units(self, SHELL_UNITS)
+        convert_quantities(self)
 
     @property
     def bending_stiffness(self) -> float:

@@ -6,16 +6,17 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, in_units
+from truenewton.arrays import Array
 from truenewton.errors import FormatError, TrueNewtonError, located
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, TableFormat
 from truenewton.files.opening import read_text
+from truenewton.quantities import Quantity, convert_quantities
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
@@ -27,12 +28,14 @@ Made = TypeVar("Made")
 class _Points:
     """Points of an outline, x and y (n,) [m]; loop (n,) 0 of the edge, 1, 2, ... of the holes."""
 
+    QUANTITIES: ClassVar = {"x": Quantity("m"), "y": Quantity("m")}
+
     x: Array
     y: Array
     loop: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        in_units(self, {"x": "m", "y": "m"})
+        convert_quantities(self)
 
 
 OUTLINE = FileFormat(

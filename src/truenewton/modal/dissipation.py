@@ -17,15 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from truenewton.arrays import Array, freeze, in_units
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.modal.pupil import SeenTurbulence
 from truenewton.modal.true_stiffness import TrueStiffness
+from truenewton.quantities import Quantity, check_quantities, convert_quantities
 
 EFFICIENCY = 0.51  # commanded force per root of power, of LBT's and P45's coils [N/W^1/2]
 SIGMAS = 3.0  # of the turbulent force, beside the static one, that an actuator has to reach
@@ -60,21 +61,21 @@ class Budget:
     41
     """
 
+    QUANTITIES: ClassVar = {
+        name: Quantity(
+            unit, LEAST, np.inf, f"give a positive one, in {unit}",
+            f"the largest {name} is {{:g}} {unit}",
+        )
+        for name, unit in (("power", "W"), ("total", "W"), ("force", "N"))
+    }  # fmt: skip
+
     power: float = np.inf
     total: float = np.inf
     force: float = np.inf
 
     def __post_init__(self) -> None:
-        units = {"power": "W", "total": "W", "force": "N"}
-        in_units(self, units)
-        for name, unit in units.items():
-            limit = getattr(self, name)
-            if not limit >= LEAST:
-                raise FormatError(
-                    f"the largest {name} is {limit:g} {unit}",
-                    remedy=f"give a positive one, in {unit}",
-                    got=limit,
-                )
+        convert_quantities(self)
+        check_quantities(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

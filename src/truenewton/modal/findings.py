@@ -9,7 +9,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from truenewton.arrays import Array, taking_units
+from truenewton.arrays import Array
 from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
@@ -29,6 +29,7 @@ from truenewton.modal.shape_products import MotionReader
 from truenewton.modal.static_force import static_force
 from truenewton.modal.true_stiffness import TrueStiffness, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
+from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.notebook import html_table

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, taking_units
+from truenewton.arrays import Array
 from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
 from truenewton.bench.simulated.control import Control
 from truenewton.bench.simulated.loop import Loop, equilibrium
@@ -36,6 +36,7 @@ from truenewton.mirrors.shell.held_glass import (
     weight_on,
 )
 from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
+from truenewton.quantities import taking_units
 from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
 from truenewton.statics.modes import scaled_modes, stiffness_modes

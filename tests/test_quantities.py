@@ -10,12 +10,13 @@ from astropy.table import QTable, Table
 
 import truenewton as tn
 from truenewton.acquisition.plan import AssumedDrift, MirrorLimits, PlannedShapes
-from truenewton.arrays import freeze, in_unit
+from truenewton.arrays import freeze
 from truenewton.bench.choice import BenchChoice
 from truenewton.errors import FormatError
 from truenewton.files.format import FileFormat, ImageFormat, TableFormat
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import MirrorNumbers, ring
+from truenewton.quantities import in_unit
 from truenewton.records.formats import CYCLE, STIFFNESS
 from truenewton.statics.layout import rings, spherical_rings
 
