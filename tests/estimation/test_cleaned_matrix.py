@@ -11,7 +11,7 @@ from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix_order import balance_effects
 from truenewton.estimation.reciprocity.gate import Evidence, instead, refusals
 from truenewton.estimation.sifted_matrix import sift_matrix
-from truenewton.foreign.importing import stiffness_from
+from truenewton.importers.importing import stiffness_from
 from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 

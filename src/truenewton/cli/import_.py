@@ -12,7 +12,7 @@ from truenewton.cli import options
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
-    from truenewton.foreign.importing import Imported
+    from truenewton.importers.importing import Imported
 
 
 def run(
@@ -50,7 +50,7 @@ def run(
     from truenewton.cli.terminal import busy, print_result
     from truenewton.estimation.findings.code import Level
     from truenewton.files.outputs import refuse_existing
-    from truenewton.foreign.importing import stiffness_from
+    from truenewton.importers.importing import stiffness_from
     from truenewton.mirrors.file import mirror_from
     from truenewton.records.file import SUFFIXES, write_stiffness
 

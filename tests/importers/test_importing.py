@@ -32,10 +32,10 @@ from truenewton.errors import (
     TrueNewtonError,
     UnreadableFile,
 )
-from truenewton.foreign.choice import places_in
-from truenewton.foreign.soundness import judge
-from truenewton.foreign.stored import read_stored
-from truenewton.foreign.supervisor import supervisor_order
+from truenewton.importers.importing import judge
+from truenewton.importers.selection import places_in
+from truenewton.importers.stored import read_stored
+from truenewton.importers.supervisor import supervisor_order
 from truenewton.rounding import percent
 from truenewton.statics.groups import ring_of
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,15 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, UnreadableFile
-from truenewton.foreign.choice import Places, as_places, matrix_in, places_in, there_is
-from truenewton.foreign.folders import read_folder
-from truenewton.foreign.positions import Positions, in_metres
-from truenewton.foreign.stored import Item, Stored, plain, read_stored
-from truenewton.foreign.supervisor import NUMBERS
+from truenewton.importers.selection import (
+    Places,
+    Positions,
+    as_places,
+    in_metres,
+    matrix_in,
+    places_in,
+    there_is,
+)
+from truenewton.importers.stored import Item, Stored, plain, read_stored
+from truenewton.importers.supervisor import NUMBERS, TRACK_NUMBER, read_folder
 from truenewton.statics.layout import Layout
 
 NAME = "MIRROR"  # where nothing tells it
-TRACK_NUMBER = re.compile(r"(\d{4})(\d\d)(\d\d)_(\d\d)(\d\d)(\d\d)")
 
 
 @dataclass(frozen=True, eq=False)
