@@ -17,7 +17,7 @@ from truenewton.files.format import FileFormat, ImageFormat, TableFormat
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import MirrorNumbers, ring
 from truenewton.quantities import in_unit
-from truenewton.records.formats import CYCLE, STIFFNESS
+from truenewton.records.file import CYCLE, STIFFNESS
 from truenewton.statics.layout import rings, spherical_rings
 
 DATE = datetime.datetime(2026, 1, 2, tzinfo=datetime.UTC)

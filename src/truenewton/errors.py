@@ -6,7 +6,7 @@ programs need not parse the sentence that people read.
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 
 def printable(text: str) -> str:
@@ -58,6 +58,16 @@ class TrueNewtonError(Exception):
     def changed(self, **parts: Any) -> Self:
         """Return the same error, but for some of fault, remedy, path, got and want."""
         return type(self)(**{**vars(self), **parts})
+
+
+class Fault(NamedTuple):
+    """What is wrong with data or a result, and what mends it: clauses without a full stop.
+
+    The remedy is empty where there is nothing to be done.
+    """
+
+    fault: str
+    remedy: str
 
 
 class UnreadableFile(TrueNewtonError, OSError):

@@ -21,7 +21,7 @@ from truenewton.errors import (
 from truenewton.figures.style import plain
 from truenewton.files import opening
 from truenewton.files.fits import read_fits
-from truenewton.files.sizes import BLOCK, CARD, check_sizes
+from truenewton.files.opening import BLOCK, CARD, check_sizes
 from truenewton.files.toml import read_toml
 from truenewton.linalg import inverse_of_positive
 from truenewton.mirrors.shell.finite_elements.outline import checked_sides

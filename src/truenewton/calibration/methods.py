@@ -19,7 +19,14 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import Seen, calibrate_segments
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
-from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
+from truenewton.errors import (
+    Fault,
+    NotConverged,
+    RankDeficient,
+    TrueNewtonError,
+    UnknownName,
+    located,
+)
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.estimate import Estimate, with_warnings
@@ -38,7 +45,6 @@ from truenewton.estimation.weights import typical
 from truenewton.linalg import threads
 from truenewton.progress import kept_as, tell, telling
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix

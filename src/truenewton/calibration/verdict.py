@@ -20,7 +20,7 @@ from truenewton.calibration.scale_faults import (
     unit_fault,
     weights_along_axis,
 )
-from truenewton.errors import NotToBeUsed, TrueNewtonWarning
+from truenewton.errors import Fault, NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.findings.code import Code, Concern, Level
@@ -28,7 +28,6 @@ from truenewton.estimation.findings.finding import Finding, distinct
 from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.identifiability import similar_loads
 from truenewton.estimation.weights import typical
-from truenewton.records.fault import Fault
 from truenewton.rounding import with_error
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import f_isf, normal_sf
+from truenewton.errors import Fault
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
@@ -17,7 +18,6 @@ from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import Noise
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 
 ALIVE = 100.0  # times its noise the variance of a typical reading over shapes is
 HARDLY = 0.03  # of a typical change, where nothing tells the noise

@@ -22,7 +22,6 @@ from astropy.io import fits
 from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
-from truenewton.files.checksums import verify_checksums
 from truenewton.files.content import PRIMARY, FitsFile, Image, Table
 from truenewton.files.format import (
     Attribute,
@@ -33,11 +32,16 @@ from truenewton.files.format import (
     header_of,
     value_of,
 )
-from truenewton.files.opening import GZIP, open_plain, unpacked
+from truenewton.files.opening import (
+    BLOCK,
+    GZIP,
+    check_sizes,
+    open_plain,
+    unpacked,
+    verify_checksums,
+)
 from truenewton.files.outputs import file_beside
-from truenewton.files.sizes import BLOCK, check_sizes
-from truenewton.files.stored_rows import StoredRows, state_of
-from truenewton.files.stored_tables import long_rows, without_columns
+from truenewton.files.stored_rows import StoredRows, long_rows, state_of, without_columns
 
 START = b"SIMPLE"
 

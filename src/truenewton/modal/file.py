@@ -19,8 +19,7 @@ from truenewton.files.outputs import files_together
 from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
-from truenewton.records.file import write_stiffness
-from truenewton.records.formats import ACTUATORS, SOURCES
+from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 

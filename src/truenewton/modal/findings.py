@@ -13,7 +13,7 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
-from truenewton.errors import NotToBeUsed
+from truenewton.errors import Fault, NotToBeUsed
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.row_readers import read_rows
@@ -31,10 +31,9 @@ from truenewton.modal.true_stiffness import TrueStiffness, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
-from truenewton.records.notebook import html_table
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import html_table
 from truenewton.statics.modes import StiffnessModes
 
 MOST_COMPARED = 1000  # actuators; modes only to compare take as long, and as much memory, again

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.words import row, warning_lines
+from truenewton.errors import Fault
 from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import ModalBase
-from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns, at least

@@ -13,9 +13,8 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
-from truenewton.records.notebook import html_table
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted, with_error
+from truenewton.rounding import counted, html_table, with_error
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load

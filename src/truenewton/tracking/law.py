@@ -17,7 +17,7 @@ from truenewton.estimation.findings.code import Level
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
 from truenewton.quantities import taking_units
-from truenewton.records.notebook import html_table
+from truenewton.rounding import html_table
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.family import Family
