@@ -216,10 +216,6 @@ def write_hdf5(
         The target.
     form, record
         What holds the attributes that the format names.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
     """
     try:
         h5py = _h5py(path)

@@ -33,12 +33,7 @@ AT_ONCE = 2**22
 
 
 def refuse_odd(path: str | os.PathLike[str]) -> None:
-    """Refuse a pipe or a device; what is not there raises OSError.
-
-    Raises
-    ------
-    UnreadableFile
-    """
+    """Refuse a pipe or a device; what is not there raises OSError."""
     mode = Path(path).stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise UnreadableFile("is a pipe or a device", remedy="give a file", path=path)
@@ -93,12 +88,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def unpacked(raw: bytes, path: str | os.PathLike[str]) -> bytes:
-    """Return what gzipped bytes hold, unless a few of them unpack to gigabytes.
-
-    Raises
-    ------
-    UnreadableFile
-    """
+    """Return what gzipped bytes hold, unless a few of them unpack to gigabytes."""
     whole = io.BytesIO()
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(raw)) as file:

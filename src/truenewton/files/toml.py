@@ -86,12 +86,7 @@ def check_keys(
     where: str = "",
     above: Sequence[str] = (),
 ) -> None:
-    """Refuse the first key of a table that is none of those known; the rest as of `filled`.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse the first key of a table that is none of those known; the rest as of `filled`."""
     for key in table:
         if key in known:
             continue

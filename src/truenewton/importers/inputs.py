@@ -81,12 +81,7 @@ class Surface:
 def read_given(
     matrix: Any, coordinates: Any, mirror: Layout | None, dataset: str | None, surface: Surface
 ) -> Given:
-    """Read arrays, files or a folder, as `stiffness_from` takes them.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Read arrays, files or a folder, as `stiffness_from` takes them."""
     if not isinstance(matrix, str | os.PathLike):
         unit = str(getattr(matrix, "unit", "") or "")
         values = plain(getattr(matrix, "value", matrix))

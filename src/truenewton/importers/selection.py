@@ -101,12 +101,7 @@ def places_in(stored: Stored) -> Places | None:
 
 
 def as_places(values: Any, unit: str = "") -> Places:
-    """Return positions of an (n, 2) or (2, n) array.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Return positions of an (n, 2) or (2, n) array."""
     return _by_array(Item(np.asarray(values, dtype=float), unit), "positions")
 
 
@@ -250,10 +245,6 @@ def in_metres(
         Named where they are refused.
     arc
         Radii are measured along the surface, R t, and not from the axis, R sin t.
-
-    Raises
-    ------
-    FormatError
     """
     x, y = (np.asarray(values, dtype=float).ravel() for values in (places.x, places.y))
     if x.shape != y.shape:
@@ -294,12 +285,7 @@ def in_metres(
 
 
 def in_unit(value: Any, unit: str, want: str, what: str, path: Any) -> float:
-    """Return a factor from a unit by name to the one wanted.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Return a factor from a unit by name to the one wanted."""
     try:
         return float((value * u.Unit(unit)).to_value(want))
     except (ValueError, TypeError):
@@ -337,10 +323,6 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
         (n, n), NaN where nothing was measured.
     unit, declared
         As told, or None; as its file declares, or ''.
-
-    Raises
-    ------
-    FormatError
     """
     most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
     if most > LARGEST:

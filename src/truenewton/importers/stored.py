@@ -58,12 +58,7 @@ class Stored:
 
 
 def read_stored(path: str | os.PathLike[str]) -> Stored:
-    """Read all numbers of a file.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Read all numbers of a file."""
     path = os.fspath(path)
     try:
         with open_plain(path) as file:
@@ -210,12 +205,7 @@ class TextTable(NamedTuple):
 
 
 def text_of(path: str | os.PathLike[str]) -> str:
-    """Return the text of a file.
-
-    Raises
-    ------
-    UnreadableFile
-    """
+    """Return the text of a file."""
     with open_plain(path) as file:
         raw = file.read(MOST_UNPACKED + 1)
     if len(raw) > MOST_UNPACKED:
@@ -233,12 +223,7 @@ def text_of(path: str | os.PathLike[str]) -> str:
 
 
 def read_text(path: str | os.PathLike[str]) -> TextTable:
-    """Read a text file of numbers.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Read a text file of numbers."""
     # A tab may stand for an empty cell in the corner, unless every line begins with one.
     whole = text_of(path).splitlines()
     if whole and whole[0].startswith(ECSV):  # units in its comments would be lost

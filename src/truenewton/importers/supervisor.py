@@ -53,12 +53,7 @@ def find_file(name: str, *folders: Path | None) -> Path | None:
 
 
 def only_array(path: str | os.PathLike[str]) -> Item:
-    """Return the one array of a file, axes of length 1 left out.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return the one array of a file, axes of length 1 left out."""
     return _only(read_stored(path))
 
 
@@ -72,24 +67,14 @@ def _only(stored: Stored) -> Item:
 
 
 def channels_of(folder: Path) -> NDArray[np.int64]:
-    """Return the (m,) channels of a folder's matrix.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return the (m,) channels of a folder's matrix."""
     return _whole_numbers(np.atleast_1d(only_array(folder / CHANNELS).values), folder / CHANNELS)
 
 
 def places_of(
     folder: Path, conf: Path | None, mirror: Layout | None, channels: NDArray[np.int64]
 ) -> tuple[Places | Layout, Path, str]:
-    """Return positions of (m,) channels, the file that gave them, and how, in words.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return positions of (m,) channels, the file that gave them, and how, in words."""
     numbers = find_file(NUMBERS, folder, conf)
     shell = find_file(SHELL, folder, conf)
     given = find_file(POSITIONS, folder, conf)
@@ -126,12 +111,7 @@ def places_of(
 
 
 def numbers_of(channels: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
-    """Return (m,) the numbers, ring by ring, of channels by a supervisor's table.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return (m,) the numbers, ring by ring, of channels by a supervisor's table."""
     ring_number = _whole_numbers(_only(read_stored(path)).values.ravel(), path)
     if channels.max() >= len(ring_number):
         raise FormatError(
@@ -171,12 +151,7 @@ def supervisor_order(rings: Layout) -> NDArray[np.int64]:
 
 
 def shell_layout(path: Path) -> Layout:
-    """Return the rings of a shell.txt, from the innermost, each counter-clockwise from +y.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Return the rings of a shell.txt, from the innermost, each counter-clockwise from +y."""
     said = structure(path)
     try:
         counts = [int(n) for n in said["n_act_ring"]]
@@ -196,12 +171,7 @@ def shell_layout(path: Path) -> Layout:
 
 
 def structure(path: Path) -> dict[str, list[float]]:
-    """Return the numbers of a supervisor's structure file: `name type value`, or arrays to `end`.
-
-    Raises
-    ------
-    UnreadableFile
-    """
+    """Return the numbers of a supervisor's structure file: `name type value`, or arrays to `end`."""
     lines = (re.split("[;#]", line)[0].split() for line in text_of(path).splitlines())
     words = [line for line in lines if line]
     said: dict[str, list[float]] = {}
@@ -307,10 +277,6 @@ def read_folder(folder: Path, positions: Path | None, mirror: Layout | None) -> 
         A file of positions, a folder of the configuration, or None: then they are in the folder.
     mirror
         Rings of a known mirror, or None.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
     """
     conf = positions if positions is not None and positions.is_dir() else None
     file = None if conf is positions else positions

@@ -179,12 +179,7 @@ def ordered_cycles(cycles: Iterable[Cycle]) -> tuple[Cycle, ...]:
 
 
 def refuse_foreign(matrix: StiffnessMatrix | None, cycle: Cycle) -> None:
-    """Refuse a stiffness matrix that is not of a cycle's mirror.
-
-    Raises
-    ------
-    CampaignMismatch
-    """
+    """Refuse a stiffness matrix that is not of a cycle's mirror."""
     if matrix is None:
         return
     other = matrix.instrument != cycle.instrument

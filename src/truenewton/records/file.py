@@ -148,12 +148,7 @@ class Averaged:
 
 
 def read_file(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS or HDF5 file; if not whole, vector columns are left in it.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Read a FITS or HDF5 file; if not whole, vector columns are left in it."""
     return (read_hdf5 if is_hdf5(path) else read_fits)(path, whole=whole)
 
 
@@ -412,10 +407,5 @@ def write_stiffness(
 
 
 def campaign_from(files: Iterable[FitsFile]) -> Campaign:
-    """Return the campaign that cycle files make together.
-
-    Raises
-    ------
-    FormatError, CampaignMismatch
-    """
+    """Return the campaign that cycle files make together."""
     return Campaign(tuple(map(cycle_from, files)))
