@@ -33,7 +33,7 @@ from truenewton.errors import (
     UnreadableFile,
 )
 from truenewton.importers.importing import judge
-from truenewton.importers.selection import places_in
+from truenewton.importers.selection import positions_in
 from truenewton.importers.stored import read_stored
 from truenewton.importers.supervisor import supervisor_order
 from truenewton.rounding import percent
@@ -284,7 +284,7 @@ def test_names_choose_positions_of_more_actuators(tmp_path):
 )
 def test_names_and_units_of_columns_are_never_lost(tmp_path, lines):
     (tmp_path / "xy.csv").write_text("\n".join(lines))
-    found = places_in(read_stored(tmp_path / "xy.csv"))
+    found = positions_in(read_stored(tmp_path / "xy.csv"))
     assert (found.unit, found.x.tolist(), found.y.tolist()) == ("mm", [1, 3, 5], [2, 4, 6])
 
 

@@ -62,7 +62,8 @@ class Hdf5Rows(StoredRows):
         return values
 
 
-def _h5py(path: object) -> Any:
+def import_h5py(path: object) -> Any:
+    """Return the module, which is an extra."""
     try:
         return importlib.import_module("h5py")
     except ModuleNotFoundError:
@@ -75,7 +76,7 @@ def _h5py(path: object) -> Any:
 
 def _open(path: str) -> Any:
     # Of a file system without locks, as clusters have, locking would be refused.
-    return _h5py(path).File(path, "r", locking="best-effort")
+    return import_h5py(path).File(path, "r", locking="best-effort")
 
 
 def is_hdf5(path: str | os.PathLike[str]) -> bool:
@@ -110,7 +111,7 @@ def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         It takes data from other files.
     """
     path = os.fspath(path)
-    h5py = _h5py(path)
+    h5py = import_h5py(path)
     with open_plain(path) as file:
         if file.peek(len(MAGIC))[: len(MAGIC)] != MAGIC:
             raise UnreadableFile("is not an HDF5 file", remedy="fetch it again", path=path)
@@ -218,7 +219,7 @@ def write_hdf5(
         What holds the attributes that the format names.
     """
     try:
-        h5py = _h5py(path)
+        h5py = import_h5py(path)
     except UnreadableFile as error:
         raise OutputFailed(error.fault, remedy=error.remedy, path=path) from None
     with (

@@ -27,8 +27,8 @@ from truenewton.estimation.matrix_order import (
     share_by_distance,
 )
 from truenewton.estimation.sifted_matrix import released, sift_matrix
-from truenewton.importers.inputs import Given, Surface, date_of, read_given
-from truenewton.importers.selection import MOST_NAMED, Positions, in_newton_per_metre
+from truenewton.importers.inputs import Given, date_of, read_given
+from truenewton.importers.selection import MOST_NAMED, Positions, Surface, in_newton_per_metre
 from truenewton.importers.stored import read_stored
 from truenewton.quantities import taking_units
 from truenewton.records.stiffness_matrix import StiffnessMatrix

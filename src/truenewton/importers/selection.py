@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -25,19 +25,48 @@ ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number
 MOST_NAMED = 8  # arrays and columns of a file
 
 
-class Places(NamedTuple):
-    """Positions as they stand in a file: their unit or ''; what else stands beside them.
+# Farthest actuator from the middle of all, in metres and in what it looks like otherwise.
+FARTHEST = 1e12  # in any unit: no place
+LIKELY_SIZES = {"m": (0.02, 5.0), "mm": (40.0, 5e3), "um": (2e4, 5e6)}
+LIKELY_STIFFNESS = (2e4, 1e9)  # median own stiffness of a mirror [N/m]
+LARGEST = 1e30  # element in any unit
+NOMINAL = 1e6  # that given to a matrix whose unit is unknown [N/m]
 
-    `columns` are the names of all columns of numbers, if positions have names.
+
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Positions as they stand in a file, or in metres.
+
+    Attributes
+    ----------
+    x, y
+        (n,) in the unit.
+    unit
+        That the file declares, or ''.
+    ids, nz, enabled
+        (n,) or None; NZ is the cosine between force and +z.
+    columns
+        Names of all columns of numbers in the file, if positions have names.
+    notes
+        What was found and done, in words.
     """
 
     x: Any
     y: Any
     unit: str = ""
-    ids: Any = None
+    ids: NDArray[np.int64] | None = None
     nz: Any = None
-    enabled: Any = None
+    enabled: NDArray[np.bool_] | None = None
     columns: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def part(self, rows: Any) -> Positions:
+        """Return those of some rows."""
+        some: dict[str, Any] = {
+            name: None if (values := getattr(self, name)) is None else np.asarray(values)[rows]
+            for name in ("x", "y", "nz", "ids", "enabled")
+        }
+        return replace(self, **some)
 
 
 def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
@@ -75,7 +104,7 @@ def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
     return item, f", '{name}' of {', '.join(every)}" if len(every) > 1 else ""
 
 
-def places_in(stored: Stored) -> Places | None:
+def positions_in(stored: Stored) -> Positions | None:
     """Return the positions of a file: columns X and Y, or an (n, 2) or (2, n) array; or None.
 
     Raises
@@ -97,15 +126,11 @@ def places_in(stored: Stored) -> Places | None:
         remedy = "give positions in a file of their own"
         several = f"several arrays may be positions: {', '.join(fitting)}"
         raise FormatError(several, remedy=remedy, path=stored.path)
-    return _by_array(next(iter(fitting.values())), stored.path)
+    return positions_of(next(iter(fitting.values())), stored.path)
 
 
-def as_places(values: Any, unit: str = "") -> Places:
-    """Return positions of an (n, 2) or (2, n) array."""
-    return _by_array(Item(np.asarray(values, dtype=float), unit), "positions")
-
-
-def _by_array(item: Item, path: str) -> Places:
+def positions_of(item: Item, path: str) -> Positions:
+    """Return positions of an (n, 2) or (2, n) array, or of columns ID, X, Y."""
     values = item.values
     if values.ndim != 2 or (2 not in values.shape and 3 not in values.shape):
         raise FormatError(
@@ -123,11 +148,11 @@ def _by_array(item: Item, path: str) -> Places:
                 remedy="name them in the first line: X, Y, NZ or ID, X, Y",
                 path=path,
             )
-        return Places(values[:, 1], values[:, 2], item.unit, ids=first.astype(np.int64))
-    return Places(values[:, 0], values[:, 1], item.unit)
+        return Positions(values[:, 1], values[:, 2], item.unit, ids=first.astype(np.int64))
+    return Positions(values[:, 0], values[:, 1], item.unit)
 
 
-def _by_columns(columns: Mapping[str, Item], path: str) -> Places | None:
+def _by_columns(columns: Mapping[str, Item], path: str) -> Positions | None:
     """Return positions from columns whose names say what they are."""
     known: dict[str, Item] = {}
     for name, item in columns.items():
@@ -148,7 +173,7 @@ def _by_columns(columns: Mapping[str, Item], path: str) -> Places | None:
         raise FormatError(
             f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit", path=path
         )
-    return Places(
+    return Positions(
         x.values,
         y.values,
         x.unit,
@@ -190,63 +215,29 @@ def there_is(stored: Stored) -> str:
     return f"there is {', '.join(parts[:MOST_NAMED])}" if parts else "there are no arrays in it"
 
 
-# Farthest actuator from the middle of all, in metres and in what it looks like otherwise.
-FARTHEST = 1e12  # in any unit: no place
-LIKELY_SIZES = {"m": (0.02, 5.0), "mm": (40.0, 5e3), "um": (2e4, 5e6)}
-
-
-@dataclass(frozen=True, eq=False)
-class Positions:
-    """Positions in metres.
+@dataclass(frozen=True)
+class Surface:
+    """How positions are to be taken.
 
     Attributes
     ----------
-    x, y, nz
-        (n,) [m] and cosine between force and +z, or None.
-    ids, enabled
-        (n,) or None.
-    columns
-        Names of the columns of their file.
-    notes
-        What was found and done, in words.
-    """
-
-    x: Array
-    y: Array
-    nz: Array | None
-    ids: NDArray[np.int64] | None
-    enabled: NDArray[np.bool_] | None
-    notes: tuple[str, ...] = ()
-    columns: tuple[str, ...] = ()
-
-    def part(self, rows: Any) -> Positions:
-        """Return those of some rows."""
-        some: dict[str, Any] = {
-            name: None if (values := getattr(self, name)) is None else np.asarray(values)[rows]
-            for name in ("x", "y", "nz", "ids", "enabled")
-        }
-        return replace(self, **some)
-
-
-def in_metres(
-    places: Places, lengths: str | None, curvature: float | None, path: str, *, arc: bool
-) -> Positions:
-    """Return positions in metres; on a curved surface with their directions.
-
-    Parameters
-    ----------
-    places
-        As they stand in a file.
     lengths
         Their unit, unless the file declares it or it can be told from their size.
     curvature
         Radius R of the surface [m], or None: then NZ is that of the file, or 1.
-    path
-        Named where they are refused.
     arc
         Radii are measured along the surface, R t, and not from the axis, R sin t.
     """
-    x, y = (np.asarray(values, dtype=float).ravel() for values in (places.x, places.y))
+
+    lengths: str | None
+    curvature: float | None
+    arc: bool
+
+
+def in_metres(positions: Positions, surface: Surface, path: str) -> Positions:
+    """Return positions in metres; on a curved surface with their directions."""
+    lengths, curvature, arc = surface.lengths, surface.curvature, surface.arc
+    x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
     if x.shape != y.shape:
         raise FormatError(
             f"holds {x.size} X and {y.size} Y", remedy="give both for every actuator", path=path
@@ -254,12 +245,12 @@ def in_metres(
     x, y = (np.where(np.abs(values) < FARTHEST, values, np.nan) for values in (x, y))
     if not np.isfinite(x + y).any():
         raise FormatError("holds no finite positions", remedy="give X and Y", path=path)
-    unit, how = lengths or places.unit, "as told" if lengths else "as declared"
+    unit, how = lengths or positions.unit, "as told" if lengths else "as declared"
     if not unit:
         unit, how = _likeliest_unit(x, y, path), "by their size"
     factor = in_unit(1.0, unit, "m", "positions", path)
     x, y = x * factor, y * factor
-    notes, nz = [f"{unit} {how}"], places.nz
+    notes, nz = [f"{unit} {how}"], positions.nz
     if curvature is not None:
         if not 0.0 < curvature < np.inf:
             raise FormatError(
@@ -281,7 +272,7 @@ def in_metres(
         notes.append("NZ 1, a flat mirror (--curvature R for another)")
     if nz is not None:
         notes.append(f"NZ {np.nanmin(nz):.4f} .. {np.nanmax(nz):.4f}")
-    return Positions(x, y, nz, places.ids, places.enabled, tuple(notes), places.columns)
+    return replace(positions, x=x, y=y, unit="m", nz=nz, notes=tuple(notes))
 
 
 def in_unit(value: Any, unit: str, want: str, what: str, path: Any) -> float:
@@ -307,11 +298,6 @@ def _likeliest_unit(x: Array, y: Array, path: str) -> str:
             path=path,
         )
     return fitting[0]
-
-
-LIKELY_STIFFNESS = (2e4, 1e9)  # median own stiffness of a mirror [N/m]
-LARGEST = 1e30  # element in any unit
-NOMINAL = 1e6  # that given to a matrix whose unit is unknown [N/m]
 
 
 def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Array, str]:

@@ -7,7 +7,6 @@ begins with its type and sizes (`float 672`), the first index fastest.
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 import re
@@ -23,9 +22,18 @@ from numpy.typing import NDArray
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
 from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
-from truenewton.files.hdf5 import unit_of
+from truenewton.files.hdf5 import import_h5py, unit_of
 from truenewton.files.opening import GZIP, MOST_UNPACKED, open_plain
 from truenewton.rounding import counted
+
+COMMENT = "#;%!"
+ECSV = "# %ECSV"
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
+TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
+LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
+UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
+NARROW = 16  # columns, of which some may be words
 
 
 class Item(NamedTuple):
@@ -124,14 +132,7 @@ def _numpy(path: str) -> Stored:
 
 
 def _hdf5(path: str) -> Stored:
-    try:
-        h5py = importlib.import_module("h5py")
-    except ImportError:
-        raise UnreadableFile(
-            "is HDF5, for which h5py is missing",
-            remedy="pip install 'truenewton[hdf5]'",
-            path=path,
-        ) from None
+    h5py = import_h5py(path)
     found: dict[str, Item] = {}
 
     def take(name: str, held: Any) -> None:
@@ -170,16 +171,6 @@ READERS = {
     b"MATLAB": _matlab,
     b"SR\x00": _idl,
 }
-
-
-COMMENT = "#;%!"
-ECSV = "# %ECSV"
-NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
-DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
-TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
-LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
-UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
-NARROW = 16  # columns, of which some may be words
 
 
 class Line(NamedTuple):

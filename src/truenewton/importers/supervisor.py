@@ -17,9 +17,9 @@ from __future__ import annotations
 import datetime
 import os
 import re
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -32,8 +32,8 @@ from truenewton.errors import CampaignMismatch, FormatError, UnreadableFile
 from truenewton.files.fits import write_fits
 from truenewton.files.format import FileFormat, Keyword
 from truenewton.files.outputs import folder_beside
-from truenewton.importers.selection import Places, places_in
-from truenewton.importers.stored import Item, Stored, read_stored, text_of
+from truenewton.importers.selection import Positions, positions_in
+from truenewton.importers.stored import Item, read_stored, text_of
 from truenewton.statics.groups import ring_of
 from truenewton.statics.layout import Layout, layout
 
@@ -54,15 +54,12 @@ def find_file(name: str, *folders: Path | None) -> Path | None:
 
 def only_array(path: str | os.PathLike[str]) -> Item:
     """Return the one array of a file, axes of length 1 left out."""
-    return _only(read_stored(path))
-
-
-def _only(stored: Stored) -> Item:
-    if len(stored.arrays) != 1:
+    arrays = read_stored(path).arrays
+    if len(arrays) != 1:
         raise FormatError(
-            f"holds {len(stored.arrays)} arrays", remedy="give one with one array", path=stored.path
+            f"holds {len(arrays)} arrays", remedy="give one with one array", path=path
         )
-    (item,) = stored.arrays.values()
+    (item,) = arrays.values()
     return Item(np.squeeze(item.values), item.unit)
 
 
@@ -73,13 +70,13 @@ def channels_of(folder: Path) -> NDArray[np.int64]:
 
 def places_of(
     folder: Path, conf: Path | None, mirror: Layout | None, channels: NDArray[np.int64]
-) -> tuple[Places | Layout, Path, str]:
+) -> tuple[Positions | Layout, Path, str]:
     """Return positions of (m,) channels, the file that gave them, and how, in words."""
     numbers = find_file(NUMBERS, folder, conf)
     shell = find_file(SHELL, folder, conf)
     given = find_file(POSITIONS, folder, conf)
     if mirror is None and given is not None:
-        places = places_in(read_stored(given))
+        places = positions_in(read_stored(given))
         if places is None:
             raise FormatError("holds no positions", remedy="give (n, 2) or (2, n)", path=given)
         return of_channels(places, channels, given), given, "radii along the surface, in mm"
@@ -112,7 +109,7 @@ def places_of(
 
 def numbers_of(channels: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
     """Return (m,) the numbers, ring by ring, of channels by a supervisor's table."""
-    ring_number = _whole_numbers(_only(read_stored(path)).values.ravel(), path)
+    ring_number = _whole_numbers(only_array(path).values.ravel(), path)
     if channels.max() >= len(ring_number):
         raise FormatError(
             f"has {len(ring_number)} channels, {CHANNELS} names channel {channels.max()}",
@@ -171,7 +168,7 @@ def shell_layout(path: Path) -> Layout:
 
 
 def structure(path: Path) -> dict[str, list[float]]:
-    """Return the numbers of a supervisor's structure file: `name type value`, or arrays to `end`."""
+    """Return the numbers of a structure file: `name type value`, or arrays to `end`."""
     lines = (re.split("[;#]", line)[0].split() for line in text_of(path).splitlines())
     words = [line for line in lines if line]
     said: dict[str, list[float]] = {}
@@ -201,7 +198,7 @@ def decomposed(matrix: Array) -> tuple[Array, Array, Array]:
     return left[:, ::-1], values[::-1], right[::-1].T
 
 
-def of_channels(places: Places, channels: NDArray[np.int64], path: Path) -> Places:
+def of_channels(places: Positions, channels: NDArray[np.int64], path: Path) -> Positions:
     """Return places of (m,) channels, from those of all channels or of these alone."""
     n = len(np.asarray(places.x).ravel())
     if n == len(channels) or places.ids is not None:  # numbers are matched later
@@ -212,11 +209,7 @@ def of_channels(places: Places, channels: NDArray[np.int64], path: Path) -> Plac
             remedy="give those of the same mirror",
             path=path,
         )
-
-    def some(values: Any) -> Any:
-        return None if values is None else np.asarray(values).ravel()[channels]
-
-    return Places(some(places.x), some(places.y), places.unit, None, some(places.nz))
+    return places.part(channels)
 
 
 def _whole_numbers(values: Array, path: Path) -> NDArray[np.int64]:
@@ -231,86 +224,6 @@ def _whole_numbers(values: Array, path: Path) -> NDArray[np.int64]:
     return whole.astype(np.int64)
 
 
-OPTICALIB_POSITIONS = "ActuatorsCoordinates.fits"
-
-
-class Folder(NamedTuple):
-    """What a folder gave.
-
-    Attributes
-    ----------
-    kind
-        Of layout, in words.
-    matrix
-        Its file, read.
-    places, where, how
-        Positions as they stand or in metres, or None; their file; in words.
-    unit
-        Of lengths, where the layout fixes it, or ''.
-    arc
-        Radii are measured along the surface.
-    channels
-        (m,) names of the actuators, or None.
-    by_ring
-        Places if their file counts ring by ring, and a supervisor's table is there; or None.
-    """
-
-    kind: str
-    matrix: Stored
-    places: Places | Layout | None
-    where: Path | None
-    how: str = ""
-    unit: str = ""
-    arc: bool = False
-    channels: NDArray[np.int64] | None = None
-    by_ring: Places | None = None
-
-
-def read_folder(folder: Path, positions: Path | None, mirror: Layout | None) -> Folder:
-    """Read a folder of a known layout.
-
-    Parameters
-    ----------
-    folder
-        Holds the matrix.
-    positions
-        A file of positions, a folder of the configuration, or None: then they are in the folder.
-    mirror
-        Rings of a known mirror, or None.
-    """
-    conf = positions if positions is not None and positions.is_dir() else None
-    file = None if conf is positions else positions
-    there = {path.name: path for path in folder.iterdir()}
-    if MATRIX in there and CHANNELS in there:
-        matrix, channels = read_stored(there[MATRIX]), channels_of(folder)
-        kind = "a supervisor's folder"
-        if file is None:
-            of, where, how = places_of(folder, conf, mirror, channels)
-            by_file = isinstance(of, Places)
-            unit = "mm" if by_file else ""
-            return Folder(kind, matrix, of, where, how, unit, by_file, channels)
-        found = places_in(read_stored(file))
-        chosen = None if found is None else of_channels(found, channels, file)
-        by_channel = file.name == POSITIONS
-        unit = "mm" if by_channel else ""
-        numbers = find_file(NUMBERS, folder, None)
-        by_ring = None
-        if found is not None and chosen is not found and numbers is not None:
-            by_ring = of_channels(found, numbers_of(channels, numbers), file)
-        return Folder(kind, matrix, chosen, file, "", unit, by_channel, channels, by_ring)
-    if MATRIX in there:
-        matrix = read_stored(there[MATRIX])
-        at = file or find_file(OPTICALIB_POSITIONS, folder, conf)
-        places = None if at is None else places_in(read_stored(at))
-        return Folder("opticalib's configuration", matrix, places, at)
-    raise FormatError(
-        "is a folder of no layout that is known here",
-        remedy=f"give the matrix itself, or a folder with {MATRIX} and"
-        f" {CHANNELS}, or with {MATRIX} and {OPTICALIB_POSITIONS}",
-        path=folder,
-    )
-
-
 FIVE = {
     "ff_list": "channels of the electronics",
     "ff_matrix": "true force per displacement, forces in rows",
@@ -320,24 +233,12 @@ FIVE = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class _Written:
-    """What one of the files holds."""
-
-    values: NDArray[Any]
-    track: str | None
-    date: datetime.datetime
-    unit: str | None
-    of: str
-    alpha: str
-
-
 FORM = FileFormat(
     (
         Keyword("DATE", "date", "UTC, when this file was made", kind="date"),
         Keyword("TRACKNUM", "track", "", kind="str"),
         Keyword("BUNIT", "unit", "", kind="str"),
-        Keyword("CONTENT", "of", "", kind="str"),
+        Keyword("CONTENT", "content", "", kind="str"),
         Keyword("ALPHA", "alpha", "what forces were corrected by", kind="str"),
     ),
     matrix="values",
@@ -406,7 +307,9 @@ def export_supervisor(
     by = f"{calibration.instrument} {calibration.method}"[:60]
     with folder_beside(output, (".fits",), overwrite=overwrite) as temporary:
         for name, (numbers, unit) in parts.items():
-            record = _Written(numbers, track, now, unit, FIVE[name], by)
+            record = SimpleNamespace(
+                values=numbers, track=track, date=now, unit=unit, content=FIVE[name], alpha=by
+            )
             write_fits(temporary / f"{name}.fits", FORM, record)
     lines = [
         f"{folder}: {len(channels)} channels, rows times alpha of {calibration.instrument}, which"
