@@ -6,6 +6,8 @@ programs need not parse the sentence that people read.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any, NamedTuple, Self
 
 
@@ -141,3 +143,14 @@ class Interrupted(TrueNewtonError):
 def located(error: TrueNewtonError, path: object) -> TrueNewtonError:
     """Return the same error, naming the file it came from."""
     return error if error.path is not None else error.changed(path=path)
+
+
+@contextlib.contextmanager
+def naming(path: object) -> Iterator[None]:
+    """Let the errors of a block name the file that they are about, unless they name another."""
+    try:
+        yield
+    except TrueNewtonError as error:
+        if error.path is not None or path is None:
+            raise
+        raise error.changed(path=path) from error.__cause__

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, UnreadableFile
+from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, UnreadableFile, naming
 from truenewton.files.content import FitsFile, Image, Table
 from truenewton.files.format import FileFormat, TableFormat, columns_of, header_of, value_of
 from truenewton.files.opening import MOST_UNPACKED, open_plain
@@ -110,18 +110,22 @@ def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
     FormatError
         It takes data from other files.
     """
-    path = os.fspath(path)
+    with naming(path):
+        return _read(os.fspath(path), whole=whole)
+
+
+def _read(path: str, *, whole: bool) -> FitsFile:
     h5py = import_h5py(path)
     with open_plain(path) as file:
         if file.peek(len(MAGIC))[: len(MAGIC)] != MAGIC:
-            raise UnreadableFile("is not an HDF5 file", remedy="fetch it again", path=path)
+            raise UnreadableFile("is not an HDF5 file", remedy="fetch it again")
         state, digest = state_of(file), hashlib.file_digest(file, "sha256")
     try:
         with _open(path) as held:
             header = {str(k).upper(): _plain(v) for k, v in held.attrs.items()}
             extensions: dict[str, Table | Image | TrueNewtonError] = {}
             for name in held:
-                _refuse_links(h5py, held, name, path)
+                _refuse_links(h5py, held, name)
                 if isinstance(held[name], h5py.Group):
                     extensions[name.upper()] = _table(h5py, held[name], path, state, whole=whole)
                 elif held[name].ndim == 2:
@@ -130,13 +134,11 @@ def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         raise
     except Exception as error:
         # A damaged file can raise nearly anything inside its library; this is the boundary.
-        raise UnreadableFile(
-            "is damaged or truncated", remedy="fetch it again", path=path
-        ) from error
+        raise UnreadableFile("is damaged or truncated", remedy="fetch it again") from error
     return FitsFile(path, digest.hexdigest(), header, extensions)
 
 
-def _refuse_links(h5py: Any, group: Any, name: str, path: str) -> None:
+def _refuse_links(h5py: Any, group: Any, name: str) -> None:
     """Refuse what stands in another file: its checksum would say nothing of it."""
     away = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
     if not away and isinstance(group[name], h5py.Dataset):
@@ -145,7 +147,6 @@ def _refuse_links(h5py: Any, group: Any, name: str, path: str) -> None:
         raise FormatError(
             f"{group.name.strip('/')}/{name} stands in another file".lstrip("/"),
             remedy="write all of it into one file (h5repack)",
-            path=path,
         )
 
 
@@ -154,7 +155,7 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
     columns: dict[str, tuple[NDArray[Any] | StoredRows, str]] = {}
     table, rows = group.name.strip("/").upper(), None
     for name in group:
-        _refuse_links(h5py, group, name, path)
+        _refuse_links(h5py, group, name)
         dataset = group[name]
         if not isinstance(dataset, h5py.Dataset) or not dataset.ndim:
             continue
@@ -162,7 +163,6 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
             raise FormatError(
                 f"{name} of {table} has {len(dataset)} rows, other columns {rows}",
                 remedy="end the recording cleanly, or cut all columns to the shortest",
-                path=path,
             )
         rows = len(dataset)
         vectors = dataset.ndim == 2 and dataset.dtype.kind in "fiu"
@@ -185,7 +185,6 @@ def _array(dataset: Any, path: str) -> NDArray[Any]:
         raise UnreadableFile(
             f"{dataset.name.strip('/')} unpacks to {dataset.nbytes / 2**30:.0f} GB",
             remedy="fetch the file again",
-            path=path,
         )
     if dataset.dtype.kind in "OS":
         return np.array([_plain(text) for text in dataset[()].ravel()], dtype=np.str_)

@@ -23,13 +23,20 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, naming
 from truenewton.files.stored_rows import blocks
 
 GZIP = b"\x1f\x8b"
 MOST_TEXT = 2**24  # bytes of what people write by hand
 MOST_UNPACKED = 2**30  # bytes: what is gzipped is taken into memory whole
 AT_ONCE = 2**22
+BLOCK, CARD = 2880, 80  # bytes
+MOST_BLOCKS = 2000  # of one header: 72,000 cards
+MOST_COLUMNS = 999  # the standard's limit
+TABLE_BYTES = {b"L": 1, b"B": 1, b"A": 1, b"I": 2, b"J": 4, b"E": 4,
+               b"K": 8, b"D": 8, b"C": 8, b"P": 8, b"M": 16, b"Q": 16}  # fmt: skip
+TABLE_FORMAT = re.compile(rb"\s*'\s*(\d{0,18})([LXBIJKAEDCMPQ])")
+NUMBER = re.compile(rb"\s*([+-]?\d{1,19})\s*(?:/|$)")
 
 
 def refuse_odd(path: str | os.PathLike[str]) -> None:
@@ -43,26 +50,27 @@ def refuse_odd(path: str | os.PathLike[str]) -> None:
 def open_plain(path: str | os.PathLike[str]) -> Iterator[BufferedReader]:
     """Open a file for reading bytes, if it is one.
 
-    A named pipe would keep us waiting for its writer, and a device has no end.
+    A named pipe would keep us waiting for its writer, and a device has no end. Errors of the block
+    name the file.
 
     Raises
     ------
     UnreadableFile
         It cannot be opened or read, or is a folder, a pipe or a device.
     """
-    try:
-        refuse_odd(path)
-        with Path(path).open("rb") as file:
-            yield file
-    except TrueNewtonError:
-        raise
-    except OSError as error:
-        folder = isinstance(error, IsADirectoryError)
-        raise UnreadableFile(
-            f"cannot be read ({error.strerror or error})",
-            remedy="give a file, not a folder" if folder else "check the path",
-            path=path,
-        ) from error
+    with naming(path):
+        try:
+            refuse_odd(path)
+            with Path(path).open("rb") as file:
+                yield file
+        except TrueNewtonError:
+            raise
+        except OSError as error:
+            folder = isinstance(error, IsADirectoryError)
+            raise UnreadableFile(
+                f"cannot be read ({error.strerror or error})",
+                remedy="give a file, not a folder" if folder else "check the path",
+            ) from error
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
@@ -75,19 +83,16 @@ def read_text(path: str | os.PathLike[str]) -> str:
     """
     with open_plain(path) as file:
         raw = file.read(MOST_TEXT + 1)
-    if len(raw) > MOST_TEXT:
-        raise UnreadableFile(
-            f"is longer than {MOST_TEXT >> 20} MB", remedy="give the text file", path=path
-        )
-    try:
-        return raw.decode("utf-8").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        raise UnreadableFile(
-            f"is not text ({error})", remedy="store it as UTF-8", path=path
-        ) from error
+        if len(raw) > MOST_TEXT:
+            fault = f"is longer than {MOST_TEXT >> 20} MB"
+            raise UnreadableFile(fault, remedy="give the text file")
+        try:
+            return raw.decode("utf-8").replace("\r\n", "\n")
+        except UnicodeDecodeError as error:
+            raise UnreadableFile(f"is not text ({error})", remedy="store it as UTF-8") from error
 
 
-def unpacked(raw: bytes, path: str | os.PathLike[str]) -> bytes:
+def unpacked(raw: bytes) -> bytes:
     """Return what gzipped bytes hold, unless a few of them unpack to gigabytes."""
     whole = io.BytesIO()
     try:
@@ -98,25 +103,13 @@ def unpacked(raw: bytes, path: str | os.PathLike[str]) -> bytes:
                     raise UnreadableFile(
                         f"unpacks to more than {MOST_UNPACKED >> 30} GB",
                         remedy="gunzip it: of a plain file not all is taken into memory",
-                        path=path,
                     )
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise UnreadableFile(
-            "is damaged or truncated", remedy="fetch it again", path=path
-        ) from error
+        raise UnreadableFile("is damaged or truncated", remedy="fetch it again") from error
     return whole.getvalue()
 
 
-BLOCK, CARD = 2880, 80  # bytes
-MOST_BLOCKS = 2000  # of one header: 72,000 cards
-MOST_COLUMNS = 999  # the standard's limit
-TABLE_BYTES = {b"L": 1, b"B": 1, b"A": 1, b"I": 2, b"J": 4, b"E": 4,
-               b"K": 8, b"D": 8, b"C": 8, b"P": 8, b"M": 16, b"Q": 16}  # fmt: skip
-TABLE_FORMAT = re.compile(rb"\s*'\s*(\d{0,18})([LXBIJKAEDCMPQ])")
-NUMBER = re.compile(rb"\s*([+-]?\d{1,19})\s*(?:/|$)")
-
-
-def check_sizes(stream: BufferedIOBase, path: str) -> None:
+def check_sizes(stream: BufferedIOBase) -> None:
     """Refuse a file whose headers declare more than there is in it.
 
     Raises
@@ -130,25 +123,24 @@ def check_sizes(stream: BufferedIOBase, path: str) -> None:
     start, index = 0, 0
     while start + BLOCK <= end:
         stream.seek(start)
-        header = _header(stream, path)
+        header = _header(stream)
         part = (
             header.get(b"EXTNAME", b"").partition(b"/")[0].strip(b" '").decode("ascii", "replace")
         )
         part = part or f"part {index}"
-        size = _data_size(header, part, path)
+        size = _data_size(header, part)
         start = stream.tell() + -(-size // BLOCK) * BLOCK
         if stream.tell() + size > end:
             raise UnreadableFile(
                 f"is truncated, or damaged: {part} declares {size} bytes of data, and"
                 f" {end - stream.tell()} follow",
                 remedy="fetch it again",
-                path=path,
             )
         index += 1
     stream.seek(0)
 
 
-def _header(stream: BufferedIOBase, path: str) -> dict[bytes, bytes]:
+def _header(stream: BufferedIOBase) -> dict[bytes, bytes]:
     """Return what stands behind each keyword of the header that begins here."""
     values: dict[bytes, bytes] = {}
     for _ in range(MOST_BLOCKS):
@@ -160,12 +152,10 @@ def _header(stream: BufferedIOBase, path: str) -> dict[bytes, bytes]:
             values.setdefault(card[:8].rstrip(), card[10:])
         if len(block) < BLOCK:
             break
-    raise UnreadableFile(
-        "is damaged: a header does not end", remedy="fetch the file again", path=path
-    )
+    raise UnreadableFile("is damaged: a header does not end", remedy="fetch the file again")
 
 
-def _data_size(header: dict[bytes, bytes], part: str, path: str) -> int:
+def _data_size(header: dict[bytes, bytes], part: str) -> int:
     """Return the bytes of data that follow a header, |BITPIX| GCOUNT (PCOUNT + product of axes)."""
 
     def number(key: str, default: int | None, lowest: int, highest: int) -> int:
@@ -177,7 +167,6 @@ def _data_size(header: dict[bytes, bytes], part: str, path: str) -> int:
             raise UnreadableFile(
                 f"is damaged: {key} of {part} is {said.decode('ascii', 'replace')}",
                 remedy="fetch the file again",
-                path=path,
             )
         return int(value)
 
@@ -187,18 +176,13 @@ def _data_size(header: dict[bytes, bytes], part: str, path: str) -> int:
     if b"TFIELDS" in header and header.get(b"XTENSION", b"").startswith(b"'BINTABLE"):
         columns = number("TFIELDS", None, 0, 2**63 - 1)
         if columns > MOST_COLUMNS:
-            raise FormatError(
-                f"{part} has over {MOST_COLUMNS} columns",
-                remedy="leave some out",
-                path=path,
-            )
+            raise FormatError(f"{part} has over {MOST_COLUMNS} columns", remedy="leave some out")
         formats = [header.get(b"TFORM%d" % k, b"") for k in range(1, columns + 1)]
         widths = [_width(each) for each in map(TABLE_FORMAT.match, formats) if each]
         if len(widths) < columns or not axes or sum(widths) != axes[0]:
             raise UnreadableFile(
                 f"is damaged: the columns of {part} do not make its rows",
                 remedy="fetch the file again",
-                path=path,
             )
     if header.get(b"ZIMAGE", b"").split(b"/")[0].strip() == b"T":  # tiles that are compressed
         unpacked = [number(f"ZNAXIS{k}", None, 0, 2**63 - 1)
@@ -207,7 +191,6 @@ def _data_size(header: dict[bytes, bytes], part: str, path: str) -> int:
             raise UnreadableFile(
                 f"{part} unpacks to more than {MOST_UNPACKED >> 30} GB",
                 remedy="store it as a plain image",
-                path=path,
             )
     product = math.prod(axes) if axes else 0
     return bits // 8 * number("GCOUNT", 1, 0, 2**31) * (number("PCOUNT", 0, 0, 2**63 - 1) + product)
@@ -219,7 +202,7 @@ def _width(column: re.Match[bytes]) -> int:
     return -(-count // 8) if column[2] == b"X" else count * TABLE_BYTES[column[2]]
 
 
-def verify_checksums(stream: BufferedIOBase, hdu: Any, path: str) -> None:
+def verify_checksums(stream: BufferedIOBase, hdu: Any) -> None:
     """Compare CHECKSUM and DATASUM, where they stand, with the bytes as they are on disk.
 
     Astropy sums what it would write itself, and so misses damage to the padding.
@@ -239,7 +222,6 @@ def verify_checksums(stream: BufferedIOBase, hdu: Any, path: str) -> None:
         raise UnreadableFile(
             "a CHECKSUM or DATASUM does not match",
             remedy="the file was changed or damaged: fetch it again",
-            path=path,
         )
 
 
