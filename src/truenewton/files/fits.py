@@ -55,11 +55,6 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         The file.
     whole
         If false, vector columns of tables are left in the file, unless it is gzipped.
-
-    Raises
-    ------
-    UnreadableFile
-        It cannot be opened, is not FITS, is truncated, or a checksum does not match.
     """
     with naming(path):
         return _read(os.fspath(path), whole=whole)
@@ -223,12 +218,6 @@ def write_fits(
     versions, of_version
         More records, each by its EXTVER, all in one format; their keywords stand in the header of
         their first extension.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    FormatError
-        A keyword holds what no FITS header can.
     """
     hdus = _hdus(record, form, versions or {}, of_version or form, path)
     with file_beside(path, overwrite=overwrite) as temporary, temporary.open("wb") as file:

@@ -80,13 +80,7 @@ def _open(path: str) -> Any:
 
 
 def is_hdf5(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a file is HDF5, by its name or its first bytes.
-
-    Raises
-    ------
-    UnreadableFile
-        It cannot be opened.
-    """
+    """Tell whether a file is HDF5, by its name or its first bytes."""
     if os.fspath(path).lower().endswith(SUFFIXES):
         return True
     with open_plain(path) as file:
@@ -102,13 +96,6 @@ def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         The file.
     whole
         If false, vector columns of tables are left in the file; those of SAMPLES always are.
-
-    Raises
-    ------
-    UnreadableFile
-        It cannot be opened, is not HDF5, is truncated or damaged, or h5py is missing.
-    FormatError
-        It takes data from other files.
     """
     with naming(path):
         return _read(os.fspath(path), whole=whole)

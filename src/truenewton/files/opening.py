@@ -52,11 +52,6 @@ def open_plain(path: str | os.PathLike[str]) -> Iterator[BufferedReader]:
 
     A named pipe would keep us waiting for its writer, and a device has no end. Errors of the block
     name the file.
-
-    Raises
-    ------
-    UnreadableFile
-        It cannot be opened or read, or is a folder, a pipe or a device.
     """
     with naming(path):
         try:
@@ -74,13 +69,7 @@ def open_plain(path: str | os.PathLike[str]) -> Iterator[BufferedReader]:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return a text that somebody wrote, UTF-8.
-
-    Raises
-    ------
-    UnreadableFile
-        As `open_plain`; or it is no text, or far too long for one.
-    """
+    """Return a text that somebody wrote, UTF-8."""
     with open_plain(path) as file:
         raw = file.read(MOST_TEXT + 1)
         if len(raw) > MOST_TEXT:
@@ -110,15 +99,7 @@ def unpacked(raw: bytes) -> bytes:
 
 
 def check_sizes(stream: BufferedIOBase) -> None:
-    """Refuse a file whose headers declare more than there is in it.
-
-    Raises
-    ------
-    UnreadableFile
-        A header without an end, sizes that the file does not have.
-    FormatError
-        A table of over 999 columns.
-    """
+    """Refuse a file whose headers declare more than there is in it."""
     end = stream.seek(0, 2)
     start, index = 0, 0
     while start + BLOCK <= end:
@@ -206,11 +187,6 @@ def verify_checksums(stream: BufferedIOBase, hdu: Any) -> None:
     """Compare CHECKSUM and DATASUM, where they stand, with the bytes as they are on disk.
 
     Astropy sums what it would write itself, and so misses damage to the padding.
-
-    Raises
-    ------
-    UnreadableFile
-        One does not match.
     """
     whole, wanted = hdu.header.get("CHECKSUM"), hdu.header.get("DATASUM")
     if not (whole or wanted):

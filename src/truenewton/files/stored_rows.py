@@ -62,11 +62,6 @@ class StoredRows:
         (n,) which values of each stored vector are meant, in their order; None where all are.
     largest
         What `largest_in_rows` has found, by the bytes of its ``columns``: rows are read once.
-
-    Raises
-    ------
-    UnreadableFile
-        On use: the file is gone or not what it was.
     """
 
     path: str
@@ -121,10 +116,7 @@ class StoredRows:
     def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
         """Read the `span` of some rows of the open file, (rows, span), as they are stored.
 
-        Raises
-        ------
-        EOFError
-            The file has changed.
+        EOFError says that the file has changed.
         """
         first, end = self.span
         start = self.start + first * self.stored.itemsize
@@ -172,7 +164,7 @@ def read_rows(
     width: int,
     stored: np.dtype[Any],
 ) -> NDArray[Any]:
-    """Read (rows, width) values of a column, in native byte order.
+    """Read (rows, width) values of a column, in native byte order; EOFError if the file is shorter.
 
     Parameters
     ----------
@@ -184,11 +176,6 @@ def read_rows(
         (rows,) which ones; rows that follow each other are read together.
     width, stored
         Number of values in a row, and their type in the file.
-
-    Raises
-    ------
-    EOFError
-        The file ends before its rows do.
     """
     values = np.empty((len(at), width), dtype=stored.newbyteorder("="))
     size = width * stored.itemsize

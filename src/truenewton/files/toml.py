@@ -21,13 +21,7 @@ NAMES = {float: "a number", int: "an integer", str: "text", bool: "true or false
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the tables of a TOML file.
-
-    Raises
-    ------
-    UnreadableFile, naming
-        It cannot be opened or is not TOML.
-    """
+    """Return the tables of a TOML file."""
     try:
         return tomllib.loads(read_text(path))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -55,13 +49,6 @@ def filled(
         The file and the table, for the message.
     above
         Keys of the table round this one, where a key may have been meant to stand.
-
-    Raises
-    ------
-    FormatError
-        A key that is unknown, missing, or of the wrong kind.
-    TrueNewtonError
-        What the dataclass itself refuses.
     """
     with naming(path):
         return _filled(kind, table, where, above)

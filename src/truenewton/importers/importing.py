@@ -317,13 +317,7 @@ def _nowhere(positions: Positions, silent: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]:
-    """Return a matrix without the one sensor or actuator of which it has NaN, and what was done.
-
-    Raises
-    ------
-    FormatError
-        There are more.
-    """
+    """Return a matrix without the one sensor or actuator of which it has NaN, and what was done."""
     wrong = ~np.isfinite(k)
     ids = positions.ids if positions.ids is not None else np.arange(1, len(k) + 1)
     sensors, actuators = wrong.any(axis=0), wrong.any(axis=1)
@@ -384,13 +378,7 @@ def turned_sign(k: Array) -> tuple[Array, str]:
 
 
 def judge(matrix: StiffnessMatrix) -> Judged:
-    """Judge orientation, order and single actuators of a matrix.
-
-    Raises
-    ------
-    OtherOrder, RankDeficient
-        Its positions are in another order, or rows in another than columns.
-    """
+    """Judge orientation, order and single actuators of a matrix."""
     refuse_compliance(matrix)
     matrix = released(matrix)
     measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)

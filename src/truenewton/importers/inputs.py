@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, UnreadableFile
+from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.importers.selection import (
     Positions,
     Surface,
@@ -177,11 +177,11 @@ def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
     if isinstance(found, Layout):
         note = f"as laid out, NZ {found.nz.min():.4f} .. {found.nz.max():.4f}"
         return Positions(found.x, found.y, "m", found.id, found.nz, found.enabled, notes=(note,))
-    if not isinstance(found, Positions):
-        values = np.asarray(plain(getattr(found, "value", found)), dtype=float)
-        unit = str(getattr(found, "unit", "") or "")
-        found = positions_of(Item(values, unit), "positions")
-    return in_metres(found, surface, path)
+    with naming(path or "positions"):
+        if not isinstance(found, Positions):
+            values = np.asarray(plain(getattr(found, "value", found)), dtype=float)
+            found = positions_of(Item(values, str(getattr(found, "unit", "") or "")))
+        return in_metres(found, surface)
 
 
 def date_of(given: Given) -> tuple[datetime.datetime, str]:

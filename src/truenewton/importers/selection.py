@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError
+from truenewton.errors import FormatError, naming
 from truenewton.estimation.matrix_order import refuse_no_stiffness
 from truenewton.importers.stored import LENGTHS, Item, Stored
 
@@ -69,74 +69,66 @@ class Positions:
         return replace(self, **some)
 
 
-def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
-    """Return the (n, n) matrix of a file, or (shells, n, n) matrices; which of several, in words.
+def _squeezed(stored: Stored) -> dict[str, Item]:
+    """Return the arrays of a file without axes of length 1."""
+    return {name: Item(np.squeeze(item.values), item.unit) for name, item in stored.arrays.items()}
 
-    Raises
-    ------
-    FormatError
-        There is none, or several.
-    """
-    items = {name: Item(np.squeeze(item.values), item.unit) for name, item in stored.arrays.items()}
-    if dataset is not None:
-        named = [item for name, item in items.items() if name.lower() == dataset.lower()]
-        if not named:
-            raise FormatError(
-                f"has no array '{dataset}'", remedy=there_is(stored), path=stored.path
-            )
-        items = {dataset: named[0]}
-    square = {
-        name: item
-        for name, item in items.items()
-        if item.values.ndim in (2, 3)
-        and item.values.shape[-1] == item.values.shape[-2]
-        and item.values.shape[-1] > 2
-    }
-    every = square
-    if len(square) > 1:
-        known = {n: i for n, i in square.items() if n.lower().split("/")[-1] in MATRIX_NAMES}
-        square = known or square
-    if len(square) != 1:
-        fault = f"holds {len(square)} square matrices" if square else "holds no square matrix"
-        many = "say which by --dataset (dataset=): " + ", ".join(square)
-        raise FormatError(fault, remedy=many if square else _none_square(stored), path=stored.path)
-    ((name, item),) = square.items()
-    return item, f", '{name}' of {', '.join(every)}" if len(every) > 1 else ""
+
+def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
+    """Return the (n, n) matrix of a file, or (shells, n, n) matrices; which of several, in words."""
+    with naming(stored.path or None):
+        items = _squeezed(stored)
+        if dataset is not None:
+            named = [item for name, item in items.items() if name.lower() == dataset.lower()]
+            if not named:
+                raise FormatError(f"has no array '{dataset}'", remedy=there_is(stored))
+            items = {dataset: named[0]}
+        square = {
+            name: item
+            for name, item in items.items()
+            if item.values.ndim in (2, 3)
+            and item.values.shape[-1] == item.values.shape[-2]
+            and item.values.shape[-1] > 2
+        }
+        every = square
+        if len(square) > 1:
+            known = {n: i for n, i in square.items() if n.lower().split("/")[-1] in MATRIX_NAMES}
+            square = known or square
+        if len(square) != 1:
+            fault = f"holds {len(square)} square matrices" if square else "holds no square matrix"
+            many = "say which by --dataset (dataset=): " + ", ".join(square)
+            raise FormatError(fault, remedy=many if square else _none_square(stored))
+        ((name, item),) = square.items()
+        return item, f", '{name}' of {', '.join(every)}" if len(every) > 1 else ""
 
 
 def positions_in(stored: Stored) -> Positions | None:
-    """Return the positions of a file: columns X and Y, or an (n, 2) or (2, n) array; or None.
-
-    Raises
-    ------
-    FormatError
-        An array may be read in two ways.
-    """
-    every = {name: Item(np.squeeze(item.values), item.unit) for name, item in stored.arrays.items()}
-    vectors = {name: item for name, item in every.items() if item.values.ndim == 1}
-    named = _by_columns({**vectors, **stored.columns}, stored.path)
-    if named is not None:
-        return named
-    arrays = {name: item for name, item in every.items() if item.values.ndim == 2}
-    known = {n: i for n, i in arrays.items() if n.lower().split("/")[-1] in POSITION_NAMES}
-    fitting = known or {n: i for n, i in arrays.items() if min(i.values.shape) in (2, 3)}
-    if not fitting:
-        return None
-    if len(fitting) > 1:
-        remedy = "give positions in a file of their own"
-        several = f"several arrays may be positions: {', '.join(fitting)}"
-        raise FormatError(several, remedy=remedy, path=stored.path)
-    return positions_of(next(iter(fitting.values())), stored.path)
+    """Return the positions of a file: columns X and Y, or an (n, 2) or (2, n) array; or None."""
+    with naming(stored.path or None):
+        every = _squeezed(stored)
+        vectors = {name: item for name, item in every.items() if item.values.ndim == 1}
+        named = _by_columns({**vectors, **stored.columns})
+        if named is not None:
+            return named
+        arrays = {name: item for name, item in every.items() if item.values.ndim == 2}
+        known = {n: i for n, i in arrays.items() if n.lower().split("/")[-1] in POSITION_NAMES}
+        fitting = known or {n: i for n, i in arrays.items() if min(i.values.shape) in (2, 3)}
+        if not fitting:
+            return None
+        if len(fitting) > 1:
+            remedy = "give positions in a file of their own"
+            several = f"several arrays may be positions: {', '.join(fitting)}"
+            raise FormatError(several, remedy=remedy)
+        return positions_of(next(iter(fitting.values())))
 
 
-def positions_of(item: Item, path: str) -> Positions:
+def positions_of(item: Item) -> Positions:
     """Return positions of an (n, 2) or (2, n) array, or of columns ID, X, Y."""
     values = item.values
     if values.ndim != 2 or (2 not in values.shape and 3 not in values.shape):
         raise FormatError(
             f"holds an array of shape {values.shape}, which are no positions",
             remedy="give (n, 2) or (2, n), or columns named X and Y",
-            path=path,
         )
     if values.shape[1] not in (2, 3) or (values.shape[0] in (2, 3) and values.shape[1] > 3):
         values = values.T
@@ -146,13 +138,12 @@ def positions_of(item: Item, path: str) -> Positions:
             raise FormatError(
                 "has three columns without names, the first no numbers of actuators",
                 remedy="name them in the first line: X, Y, NZ or ID, X, Y",
-                path=path,
             )
         return Positions(values[:, 1], values[:, 2], item.unit, ids=first.astype(np.int64))
     return Positions(values[:, 0], values[:, 1], item.unit)
 
 
-def _by_columns(columns: Mapping[str, Item], path: str) -> Positions | None:
+def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
     """Return positions from columns whose names say what they are."""
     known: dict[str, Item] = {}
     for name, item in columns.items():
@@ -163,16 +154,13 @@ def _by_columns(columns: Mapping[str, Item], path: str) -> Positions | None:
             raise FormatError(
                 f"holds polar coordinates, {' and '.join(columns)}",
                 remedy="give X and Y, both in a unit of length",
-                path=path,
             )
         return None
     x, y = known["x"], known["y"]
     numbers = [known[n].values for n in ID_NAMES if n in known and _integers(known[n].values)]
     nz, enabled = known.get("nz"), known.get("enabled")
     if y.unit != x.unit:
-        raise FormatError(
-            f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit", path=path
-        )
+        raise FormatError(f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit")
     return Positions(
         x.values,
         y.values,
@@ -234,21 +222,19 @@ class Surface:
     arc: bool
 
 
-def in_metres(positions: Positions, surface: Surface, path: str) -> Positions:
+def in_metres(positions: Positions, surface: Surface) -> Positions:
     """Return positions in metres; on a curved surface with their directions."""
     lengths, curvature, arc = surface.lengths, surface.curvature, surface.arc
     x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
     if x.shape != y.shape:
-        raise FormatError(
-            f"holds {x.size} X and {y.size} Y", remedy="give both for every actuator", path=path
-        )
+        raise FormatError(f"holds {x.size} X and {y.size} Y", remedy="give both for every actuator")
     x, y = (np.where(np.abs(values) < FARTHEST, values, np.nan) for values in (x, y))
     if not np.isfinite(x + y).any():
-        raise FormatError("holds no finite positions", remedy="give X and Y", path=path)
+        raise FormatError("holds no finite positions", remedy="give X and Y")
     unit, how = lengths or positions.unit, "as told" if lengths else "as declared"
     if not unit:
-        unit, how = _likeliest_unit(x, y, path), "by their size"
-    factor = in_unit(1.0, unit, "m", "positions", path)
+        unit, how = _likeliest_unit(x, y), "by their size"
+    factor = _factor(unit, "m", "positions")
     x, y = x * factor, y * factor
     notes, nz = [f"{unit} {how}"], positions.nz
     if curvature is not None:
@@ -262,7 +248,6 @@ def in_metres(positions: Positions, surface: Surface, path: str) -> Positions:
                 f"an actuator stands {np.nanmax(radius):.3g} m from the axis of a surface of R ="
                 f" {curvature:.3g} m",
                 remedy="check the unit of positions, and R in m",
-                path=path,
             )
         sine = np.sin(radius / curvature) if arc else radius / curvature
         shrunk = np.divide(sine * curvature, radius, out=np.ones_like(radius), where=radius > 0)
@@ -275,19 +260,19 @@ def in_metres(positions: Positions, surface: Surface, path: str) -> Positions:
     return replace(positions, x=x, y=y, unit="m", nz=nz, notes=tuple(notes))
 
 
-def in_unit(value: Any, unit: str, want: str, what: str, path: Any) -> float:
+def _factor(unit: str, want: str, what: str) -> float:
     """Return a factor from a unit by name to the one wanted."""
     try:
-        return float((value * u.Unit(unit)).to_value(want))
+        return float(u.Unit(unit).to(want))
     except (ValueError, TypeError):
         example = "N/um" if want == "N/m" else "mm"
         steps = ", or 'unknown' for steps of electronics" if want == "N/m" else ""
         raise FormatError(
-            f"the unit of {what} is '{unit}'", remedy=f"give one as {example}{steps}", path=path
+            f"the unit of {what} is '{unit}'", remedy=f"give one as {example}{steps}"
         ) from None
 
 
-def _likeliest_unit(x: Array, y: Array, path: str) -> str:
+def _likeliest_unit(x: Array, y: Array) -> str:
     """Return the unit that makes positions those of a mirror."""
     size = float(np.nanmax(np.hypot(x - np.nanmean(x), y - np.nanmean(y)), initial=0.0))
     fitting = [unit for unit, (least, most) in LIKELY_SIZES.items() if least <= size < most]
@@ -295,7 +280,6 @@ def _likeliest_unit(x: Array, y: Array, path: str) -> str:
         raise FormatError(
             f"positions reach {size:.3g} from their middle, in no unit that is declared",
             remedy="say which by --lengths (lengths=), as mm",
-            path=path,
         )
     return fitting[0]
 
@@ -328,7 +312,7 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
         return k * (NOMINAL / typical), f"{said} mind, forces and modes are in that unit"
     said = unit or declared
     if said:
-        factor = in_unit(1.0, said, "N/m", "the matrix", None)
+        factor = _factor(said, "N/m", "the matrix")
         how = f"as {'told' if unit else 'declared'}: a median own stiffness of"
         how += f" {abs(factor) * typical:.3g} N/m"
         doubt = "" if _is_likely(abs(factor) * typical) else ", UNLIKELY of a mirror: check it"

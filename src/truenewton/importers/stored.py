@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
 from truenewton.files.hdf5 import import_h5py, unit_of
@@ -77,12 +77,8 @@ def read_stored(path: str | os.PathLike[str]) -> Stored:
         table = read_text(path)
         arrays = {} if table.values is None else {"": Item(table.values)}
         return Stored(path, arrays, {name: Item(c) for name, c in table.columns.items()})
-    except TrueNewtonError:
-        raise
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot be read ({error.strerror or error})", remedy="check the path", path=path
-        ) from error
+    except TrueNewtonError as error:
+        raise located(error, path) from None
     except Exception as error:  # a damaged file can raise nearly anything inside its library
         told = " ".join(str(error).split())[:80]
         remedy = "write it again, or give FITS, .npy or text"
@@ -199,18 +195,18 @@ def text_of(path: str | os.PathLike[str]) -> str:
     """Return the text of a file."""
     with open_plain(path) as file:
         raw = file.read(MOST_UNPACKED + 1)
-    if len(raw) > MOST_UNPACKED:
-        fault = f"is longer than {MOST_UNPACKED >> 30} GB"
-        raise UnreadableFile(fault, remedy="give FITS, .npy or HDF5", path=path)
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return raw.decode("utf-16", "replace")
-    if b"\0" in raw:
-        remedy = "give FITS, .npy, .npz, CSV or text, HDF5, .mat or .sav"
-        raise UnreadableFile("is of no kind that is read here", remedy=remedy, path=path)
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
+        if len(raw) > MOST_UNPACKED:
+            fault = f"is longer than {MOST_UNPACKED >> 30} GB"
+            raise UnreadableFile(fault, remedy="give FITS, .npy or HDF5")
+        if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return raw.decode("utf-16", "replace")
+        if b"\0" in raw:
+            remedy = "give FITS, .npy, .npz, CSV or text, HDF5, .mat or .sav"
+            raise UnreadableFile("is of no kind that is read here", remedy=remedy)
+        try:
+            return raw.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return raw.decode("latin-1")
 
 
 def read_text(path: str | os.PathLike[str]) -> TextTable:
@@ -219,16 +215,16 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
     whole = text_of(path).splitlines()
     if whole and whole[0].startswith(ECSV):  # units in its comments would be lost
         remedy = "give CSV, with units in the names of its columns, as 'x [mm]'"
-        raise UnreadableFile("is ECSV", remedy=remedy, path=path)
+        raise UnreadableFile("is ECSV", remedy=remedy)
     every = [Line(number, text.strip(" ")) for number, text in enumerate(whole, 1) if text.strip()]
     if all(line.text.startswith("\t") for line in every):
         every = [Line(line.number, line.text.strip()) for line in every]
     data = [line for line in every if line.text[0] not in COMMENT]
     if not data:
-        raise FormatError("holds no numbers", remedy="give a file with numbers", path=path)
+        raise FormatError("holds no numbers", remedy="give a file with numbers")
     typed = TYPED.fullmatch(data[0].text)
     if typed:
-        return TextTable(_typed(typed[2], [line.text for line in data[1:]], path), {})
+        return TextTable(_typed(typed[2], [line.text for line in data[1:]]), {})
     between = _separators(data[-1].text)
     if between.delimiter == ";":  # then it begins no comment
         data = [line for line in every if line.text[0] not in COMMENT.replace(";", "")]
@@ -246,10 +242,10 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
     else:
         data = data[1:]
     if not data:
-        raise FormatError("holds a header and no numbers", remedy="give its rows", path=path)
+        raise FormatError("holds a header and no numbers", remedy="give its rows")
     if len(_cells(data[0].text, between)) <= NARROW:
-        return _narrow(data, between, names, path)
-    return TextTable(_unlabelled(_wide(data, between, path), bool(names)), {})
+        return _narrow(data, between, names)
+    return TextTable(_unlabelled(_wide(data, between), bool(names)), {})
 
 
 class Between(NamedTuple):
@@ -290,25 +286,25 @@ def _is_named_row(cells: list[str], others: list[Line], between: Between) -> boo
     return words and not (columns == 1.0).all()
 
 
-def _typed(sizes: str, lines: list[str], path: Any) -> NDArray[Any]:
+def _typed(sizes: str, lines: list[str]) -> NDArray[Any]:
     shape = tuple(map(int, sizes.split()))[::-1]
     words = " ".join(lines).split()
     wrong = [word for word in words if not NUMBER.fullmatch(word)]
     if wrong or len(words) != np.prod(shape):
         fault = f"holds '{wrong[0]}'" if wrong else f"holds {len(words)} numbers"
         remedy = f"give {' x '.join(map(str, shape))} numbers, as its first line says"
-        raise FormatError(fault, remedy=remedy, path=path)
+        raise FormatError(fault, remedy=remedy)
     return np.array([_float(word) for word in words]).reshape(shape)
 
 
-def _narrow(lines: list[Line], between: Between, names: list[str], path: Any) -> TextTable:
-    rows = _alike(lines, between, path)
+def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
+    rows = _alike(lines, between)
     columns: list[NDArray[Any] | None] = []
     for cells in zip(*rows, strict=True):
         sound = all(not cell or NUMBER.fullmatch(cell) for cell in cells)
         columns.append(np.array([_float(cell) for cell in cells]) if sound else None)
     if not any(column is not None for column in columns):
-        raise FormatError("holds no numbers", remedy="give a file with numbers", path=path)
+        raise FormatError("holds no numbers", remedy="give a file with numbers")
     named = {}
     every = len(_cells(lines[0].text, between))  # an empty last column, too
     if len(names) == every or (len(names) >= len(columns) and not any(names[len(columns) :])):
@@ -320,7 +316,7 @@ def _narrow(lines: list[Line], between: Between, names: list[str], path: Any) ->
     return TextTable(_unlabelled(np.array(numbers).T, bool(names)), named)
 
 
-def _alike(lines: list[Line], between: Between, path: Any) -> list[list[str]]:
+def _alike(lines: list[Line], between: Between) -> list[list[str]]:
     """Return the cells of lines, as many in each, without a last column that is empty in all."""
     rows = [_cells(line.text, between) for line in lines]
     if len(rows[0]) > 1 and not any(row[-1] for row in rows):
@@ -331,12 +327,11 @@ def _alike(lines: list[Line], between: Between, path: Any) -> list[list[str]]:
                 f"line {line.number} has {counted(row, 'cell')}, line {lines[0].number} has"
                 f" {len(rows[0])}: '{line.text[:40]}'",
                 remedy="give every line as many; begin lines of words with #",
-                path=path,
             )
     return rows
 
 
-def _wide(lines: list[Line], between: Between, path: Any) -> NDArray[Any]:
+def _wide(lines: list[Line], between: Between) -> NDArray[Any]:
     """Return rows of numbers, without the words that name them in the first column."""
     text = "\n".join(line.text for line in lines).replace('"', "")
     try:
@@ -345,7 +340,7 @@ def _wide(lines: list[Line], between: Between, path: Any) -> NDArray[Any]:
             delimiter=between.delimiter, ndmin=2, comments=None,
         )  # fmt: skip
     except ValueError:
-        rows = _alike(lines, between, path)
+        rows = _alike(lines, between)
     first = 0 if any(NUMBER.fullmatch(row[0]) for row in rows) else 1
     for row, line in zip(rows, lines, strict=True):
         for column, cell in enumerate(row[first:], first + 1):
@@ -353,7 +348,6 @@ def _wide(lines: list[Line], between: Between, path: Any) -> NDArray[Any]:
                 raise FormatError(
                     f"line {line.number}, column {column} is '{cell[:40]}'",
                     remedy="give a number there; begin lines of words with #",
-                    path=path,
                 )
     return np.array([[_float(cell) for cell in row[first:]] for row in rows])
 

@@ -120,13 +120,7 @@ def numbers_of(channels: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
 
 
 def supervisor_order(rings: Layout) -> NDArray[np.int64]:
-    """Return (n,) which of a layout of rings each number of the supervisor is.
-
-    Raises
-    ------
-    FormatError
-        The layout has no such rings.
-    """
+    """Return (n,) which of a layout of rings each number of the supervisor is."""
     ring = ring_of(rings)
     order = []
     for r in range(1, int(ring.max()) + 2):

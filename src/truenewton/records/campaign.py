@@ -145,13 +145,7 @@ def load_temperatures(campaign: Campaign) -> Array:
 
 
 def ordered_cycles(cycles: Iterable[Cycle]) -> tuple[Cycle, ...]:
-    """Return cycles of one mirror by load, the bare one first, then by number.
-
-    Raises
-    ------
-    CampaignMismatch
-        They disagree on the mirror, a weight or the actuators, or one stands twice.
-    """
+    """Return cycles by load, the bare one first, then by number; refuse several mirrors."""
     ordered = sorted(cycles, key=_campaign_order)
     if not ordered:
         raise CampaignMismatch("there are no cycle files", remedy="give at least one")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, UnreadableFile, located
+from truenewton.errors import FormatError, UnreadableFile, located, naming
 from truenewton.files.content import PRIMARY, FitsFile
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
@@ -163,13 +163,7 @@ def read_layout(path: str | os.PathLike[str]) -> Layout:
 
 
 def cycle_from(file: FitsFile, *, whole: bool = True) -> Cycle:
-    """Return the cycle that a file holds; if not whole, means of samples are left in the file.
-
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a cycle file.
-    """
+    """Return the cycle that a file holds; if not whole, means of samples are left in the file."""
     if not holds_cycle(file):
         there = ", ".join(name for name in file.extensions if name != PRIMARY)
         raise FormatError(
@@ -247,11 +241,6 @@ def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
     """Return the cycle of the samples that a file holds, and their scatter.
 
     If not whole, FORCE and POSITION are left in the file, and averaged anew whenever they are used.
-
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a cycle file, SAMPLES in the place of MEASUREMENTS.
     """
     if MEASUREMENTS.name in file.extensions:
         raise FormatError(
@@ -260,10 +249,8 @@ def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
             path=file.path,
         )
     values = _values(file, RAW, SEGMENTED_RAW)
-    try:
+    with naming(file.path):
         first, number = rows_of_samples(values["shape"], values["sign"], values["valid"])
-    except FormatError as error:
-        raise located(error, file.path) from None
     values |= {name: values[name][first] for name in ("shape", "sign")}
     values["valid"] = np.ones(len(first), dtype=bool)
     for name in ("time", "temperature"):
@@ -296,13 +283,7 @@ def stiffness_from(file: FitsFile) -> StiffnessMatrix:
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return the files meant by files and folders; of a folder those of data, sorted by name.
-
-    Raises
-    ------
-    UnreadableFile
-        A path does not exist, or a folder holds no FITS or HDF5 file.
-    """
+    """Return the files meant by files and folders; of a folder those of data, sorted by name."""
     files: list[Path] = []
     for path in map(Path, paths):
         try:

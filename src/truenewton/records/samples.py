@@ -111,11 +111,6 @@ def rows_of_samples(
     ----------
     shape, sign, valid
         (m,) of the samples.
-
-    Raises
-    ------
-    FormatError
-        There is none.
     """
     counts = valid & (shape > 0)
     label = np.where(counts, 2 * shape + (sign > 0), 0)
