@@ -20,7 +20,7 @@ from truenewton.errors import FormatError
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
-LARGEST = 1e15  # of any number in SI units, stiff glass included: its square stays finite
+MAX_NUMBER = 1e15  # of any number in SI units, stiff glass included: its square stays finite
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Quantity:
     """
 
     unit: str = ""
-    low: float = -LARGEST
-    high: float = LARGEST
+    low: float = -MAX_NUMBER
+    high: float = MAX_NUMBER
     why: str = ""
     fault: str = ""
 

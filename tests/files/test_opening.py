@@ -81,7 +81,7 @@ def test_what_is_no_file_is_not_waited_for(tmp_path, make, said):
 
 
 def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(opening, "MOST_UNPACKED", 2**20)
+    monkeypatch.setattr(opening, "MAX_UNPACKED_BYTES", 2**20)
     path = tmp_path / "x.fits.gz"
     path.write_bytes(gzip.compress(START + bytes(2**23)))
     with pytest.raises(UnreadableFile, match="unpacks to more than"):
@@ -103,7 +103,7 @@ def test_tiles_that_unpack_to_too_much_are_refused(tmp_path):
 
 
 def test_a_text_file_that_is_too_long_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(opening, "MOST_TEXT", 100)
+    monkeypatch.setattr(opening, "MAX_TEXT_BYTES", 100)
     (tmp_path / "plan.toml").write_text("#" * 101)
     with pytest.raises(UnreadableFile, match="is longer than"):
         read_toml(tmp_path / "plan.toml")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, UnreadableFile, naming
 from truenewton.files.content import FitsFile, Image, Table
 from truenewton.files.format import FileFormat, TableFormat, columns_of, header_of, value_of
-from truenewton.files.opening import MOST_UNPACKED, open_plain
+from truenewton.files.opening import MAX_UNPACKED_BYTES, open_plain
 from truenewton.files.outputs import file_beside
 from truenewton.files.stored_rows import StoredRows, runs, state_of
 
@@ -168,7 +168,7 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
 
 def _array(dataset: Any, path: str) -> NDArray[Any]:
     """Read all of a dataset, in native byte order."""
-    if dataset.nbytes > max(MOST_UNPACKED, Path(path).stat().st_size):
+    if dataset.nbytes > max(MAX_UNPACKED_BYTES, Path(path).stat().st_size):
         raise UnreadableFile(
             f"{dataset.name.strip('/')} unpacks to {dataset.nbytes / 2**30:.0f} GB",
             remedy="fetch the file again",

@@ -27,12 +27,12 @@ from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, nami
 from truenewton.files.stored_rows import blocks
 
 GZIP = b"\x1f\x8b"
-MOST_TEXT = 2**24  # bytes of what people write by hand
-MOST_UNPACKED = 2**30  # bytes: what is gzipped is taken into memory whole
-AT_ONCE = 2**22
+MAX_TEXT_BYTES = 2**24  # bytes of what people write by hand
+MAX_UNPACKED_BYTES = 2**30  # bytes: what is gzipped is taken into memory whole
+CHUNK_BYTES = 2**22
 BLOCK, CARD = 2880, 80  # bytes
-MOST_BLOCKS = 2000  # of one header: 72,000 cards
-MOST_COLUMNS = 999  # the standard's limit
+MAX_HEADER_BLOCKS = 2000  # of one header: 72,000 cards
+MAX_COLUMNS = 999  # the standard's limit
 TABLE_BYTES = {b"L": 1, b"B": 1, b"A": 1, b"I": 2, b"J": 4, b"E": 4,
                b"K": 8, b"D": 8, b"C": 8, b"P": 8, b"M": 16, b"Q": 16}  # fmt: skip
 TABLE_FORMAT = re.compile(rb"\s*'\s*(\d{0,18})([LXBIJKAEDCMPQ])")
@@ -71,9 +71,9 @@ def open_plain(path: str | os.PathLike[str]) -> Iterator[BufferedReader]:
 def read_text(path: str | os.PathLike[str]) -> str:
     """Return a text that somebody wrote, UTF-8."""
     with open_plain(path) as file:
-        raw = file.read(MOST_TEXT + 1)
-        if len(raw) > MOST_TEXT:
-            fault = f"is longer than {MOST_TEXT >> 20} MB"
+        raw = file.read(MAX_TEXT_BYTES + 1)
+        if len(raw) > MAX_TEXT_BYTES:
+            fault = f"is longer than {MAX_TEXT_BYTES >> 20} MB"
             raise UnreadableFile(fault, remedy="give the text file")
         try:
             return raw.decode("utf-8").replace("\r\n", "\n")
@@ -86,11 +86,11 @@ def unpacked(raw: bytes) -> bytes:
     whole = io.BytesIO()
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(raw)) as file:
-            while part := file.read(AT_ONCE):
+            while part := file.read(CHUNK_BYTES):
                 whole.write(part)
-                if whole.tell() > MOST_UNPACKED:
+                if whole.tell() > MAX_UNPACKED_BYTES:
                     raise UnreadableFile(
-                        f"unpacks to more than {MOST_UNPACKED >> 30} GB",
+                        f"unpacks to more than {MAX_UNPACKED_BYTES >> 30} GB",
                         remedy="gunzip it: of a plain file not all is taken into memory",
                     )
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
@@ -124,7 +124,7 @@ def check_sizes(stream: BufferedIOBase) -> None:
 def _header(stream: BufferedIOBase) -> dict[bytes, bytes]:
     """Return what stands behind each keyword of the header that begins here."""
     values: dict[bytes, bytes] = {}
-    for _ in range(MOST_BLOCKS):
+    for _ in range(MAX_HEADER_BLOCKS):
         block = stream.read(BLOCK)
         for first in range(0, len(block), CARD):
             card = block[first : first + CARD]
@@ -156,8 +156,8 @@ def _data_size(header: dict[bytes, bytes], part: str) -> int:
     bits = abs(number("BITPIX", None, -64, 64))
     if b"TFIELDS" in header and header.get(b"XTENSION", b"").startswith(b"'BINTABLE"):
         columns = number("TFIELDS", None, 0, 2**63 - 1)
-        if columns > MOST_COLUMNS:
-            raise FormatError(f"{part} has over {MOST_COLUMNS} columns", remedy="leave some out")
+        if columns > MAX_COLUMNS:
+            raise FormatError(f"{part} has over {MAX_COLUMNS} columns", remedy="leave some out")
         formats = [header.get(b"TFORM%d" % k, b"") for k in range(1, columns + 1)]
         widths = [_width(each) for each in map(TABLE_FORMAT.match, formats) if each]
         if len(widths) < columns or not axes or sum(widths) != axes[0]:
@@ -168,9 +168,9 @@ def _data_size(header: dict[bytes, bytes], part: str) -> int:
     if header.get(b"ZIMAGE", b"").split(b"/")[0].strip() == b"T":  # tiles that are compressed
         unpacked = [number(f"ZNAXIS{k}", None, 0, 2**63 - 1)
                     for k in range(1, 1 + number("ZNAXIS", None, 0, 999))]  # fmt: skip
-        if math.prod(unpacked) * abs(number("ZBITPIX", None, -64, 64)) // 8 > MOST_UNPACKED:
+        if math.prod(unpacked) * abs(number("ZBITPIX", None, -64, 64)) // 8 > MAX_UNPACKED_BYTES:
             raise UnreadableFile(
-                f"{part} unpacks to more than {MOST_UNPACKED >> 30} GB",
+                f"{part} unpacks to more than {MAX_UNPACKED_BYTES >> 30} GB",
                 remedy="store it as a plain image",
             )
     product = math.prod(axes) if axes else 0

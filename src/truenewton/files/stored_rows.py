@@ -16,7 +16,7 @@ from truenewton.arrays import Array
 from truenewton.errors import UnreadableFile
 
 BLOCK_BYTES = 2**24  # of the rows that are taken at once
-FAR = 4  # times a column's own width: where the next row is further, the rest is skipped, not read
+MAX_STRIDE = 4  # times a column's own width; beyond it the rest of a row is skipped, not read
 
 
 def blocks(rows: int, row_bytes: int) -> Iterator[slice]:
@@ -181,7 +181,7 @@ def read_rows(
     size = width * stored.itemsize
     if not size:
         return values
-    together = 1 if stride > (FAR + 1) * size else max(1, BLOCK_BYTES // max(stride, 1))
+    together = 1 if stride > (MAX_STRIDE + 1) * size else max(1, BLOCK_BYTES // max(stride, 1))
     raw = bytearray(min(together, max(len(at), 1)) * stride + size)
     for run in runs(at):
         for row in range(run.start, run.stop, together):

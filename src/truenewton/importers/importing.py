@@ -28,15 +28,17 @@ from truenewton.estimation.matrix_order import (
 )
 from truenewton.estimation.sifted_matrix import released, sift_matrix
 from truenewton.importers.inputs import Given, date_of, read_given
-from truenewton.importers.selection import MOST_NAMED, Positions, Surface, in_newton_per_metre
+from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_newton_per_metre
 from truenewton.importers.stored import read_stored
 from truenewton.quantities import taking_units
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import named
+from truenewton.rounding import listed, named
 from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout, layout
 
 PathLike = str | os.PathLike[str]
+MIN_ORDER_SHARE = 0.2  # of the couplings, explained by distance
+MAX_NAMES = 12  # of actuators in a line
 
 
 @dataclass(frozen=True, repr=False)
@@ -121,12 +123,13 @@ def stiffness_from(
         k, unit_line = in_newton_per_metre(k, unit, given.item.unit)
         k, sign = turned_sign(k.T if transpose else k)
         ways = list(_ways(given, rows, _names(ids, given.channels)))
-        when, how = date_of(given) if date is None else (_in_utc(date), "as told")
+        when, how = date_of(given) if date is None else (date, "as told")
+        when = when.replace(tzinfo=when.tzinfo or datetime.UTC)
     except TrueNewtonError as error:
         raise located(error, given.path or None) from None
     name = instrument or given.name
     try:
-        check = partial(_checked, k, name=name, when=when, path=given.path, exclude=exclude)
+        check = partial(_checked, k, name=name, when=when, exclude=exclude)
         record, judged, positions, noted = _first_that_fits(ways, check)
     except TrueNewtonError as error:
         of_places = isinstance(error, OtherOrder | GeometryError) and given.where
@@ -150,7 +153,6 @@ def _checked(
     positions: Positions,
     name: str,
     when: datetime.datetime,
-    path: str,
     exclude: Sequence[int],
 ) -> Checked:
     """Return a matrix [N/m] with its positions, judged, and lines of what of it was left out."""
@@ -162,7 +164,7 @@ def _checked(
     if lost.any():
         noted.append(("left out", f"{np.count_nonzero(lost)} that are off and stand nowhere"))
     if not np.isfinite(k).all():
-        k, said = _without_nan(k, positions, path)
+        k, said = _without_nan(k, positions)
         noted.append(("unread", said))
     of = layout(
         positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
@@ -193,13 +195,9 @@ def _without_circle(error: TrueNewtonError, given: Given) -> TrueNewtonError:
     positions = given.positions
     if not isinstance(error, OtherOrder) or positions is None or positions.ids is not None:
         return error
-    there = f"; there is {', '.join(positions.columns[:MOST_NAMED])}" if positions.columns else ""
+    there = f"; there is {', '.join(positions.columns[:MAX_NAMED])}" if positions.columns else ""
     remedy = "put them in the order of the matrix, or give their numbers in a column named ID"
     return error.changed(remedy=remedy + there)
-
-
-def _in_utc(date: datetime.datetime) -> datetime.datetime:
-    return date if date.tzinfo else date.replace(tzinfo=datetime.UTC)
 
 
 def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int64] | None, str]:
@@ -316,7 +314,7 @@ def _nowhere(positions: Positions, silent: NDArray[np.bool_]) -> NDArray[np.bool
     return np.asarray(unknown | ((count[first] > 1) & silent))
 
 
-def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]:
+def _without_nan(k: Array, positions: Positions) -> tuple[Array, str]:
     """Return a matrix without the one sensor or actuator of which it has NaN, and what was done."""
     wrong = ~np.isfinite(k)
     ids = positions.ids if positions.ids is not None else np.arange(1, len(k) + 1)
@@ -328,7 +326,6 @@ def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]
             f"{np.count_nonzero(wrong)} elements are NaN or infinite, the first of actuator"
             f" {ids[i]} and sensor {ids[j]}",
             remedy="measure them, or set row and column of such actuators to zero",
-            path=path or None,
         )
     of = f"{'sensor' if one is sensors else 'actuator'} {ids[one][0]}"
     count = np.count_nonzero(wrong)
@@ -337,10 +334,6 @@ def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]
     k = k.copy()
     (k.T if one is sensors else k)[one] = 0.0
     return k, said
-
-
-OTHER_ORDER = 0.2  # of the couplings, explained by distance
-MOST_NAMES = 12
 
 
 class OtherOrder(FormatError):
@@ -388,7 +381,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     lines = [("orientation", _orientation(k, a))]
     lines += [("balance", f"{each.name}; {each.remedy}") for each in balanced]
     share = share_by_distance(k, a)
-    if share < OTHER_ORDER and len(k) >= 20:
+    if share < MIN_ORDER_SHARE and len(k) >= 20:
         raise OtherOrder(
             f"positions are in another order than rows and columns: {100 * max(share, 0.0):.0f} %"
             " of the couplings follow the distance, where a mirror's do to 80 %",
@@ -405,24 +398,15 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     if gone.any():
         what = "disabled" if not sifted.pushing else "left enabled: around them columns do not"
         what += " balance, as if they had pushed" if sifted.pushing else ""
-        zero = "rows and columns of zeros"
-        lines.append(
-            ("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {names(matrix.layout, gone)}")
-        )
+        off_ids, zero = listed(matrix.layout.id[gone], MAX_NAMES), "rows and columns of zeros"
+        lines.append(("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {off_ids}"))
     lines += [("do not fit", each.fault) for each in sifted.unsure]
     left_out = [each for each in sifted.effects if each.code == Code.ACTUATOR_MISFIT]
     for reason in dict.fromkeys(each.detail for each in left_out):
         ids = [i for each in left_out if each.detail == reason for i in each.actuators]
-        which = named("actuator", ids, MOST_NAMES)
+        which = named("actuator", ids, MAX_NAMES)
         lines.append(("do not fit", f"{which}: {reason} (calibrate leaves them out)"))
     return Judged(tuple(lines), off, looks_transposed(k, a), bool(balanced))
-
-
-def names(layout: Layout, some: NDArray[np.bool_]) -> str:
-    """Return the names of some actuators, (n,) true, as many as can be read."""
-    ids = layout.id[some].tolist()
-    more = f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else ""
-    return ", ".join(map(str, ids[:MOST_NAMES])) + more
 
 
 def _orientation(k: Array, a: Array) -> str:

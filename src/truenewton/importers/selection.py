@@ -22,15 +22,15 @@ UNIT = re.compile(rf"(.*?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b({LENGTHS})[\])]?")
 POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
 ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
             "channel", "ch")  # fmt: skip
-MOST_NAMED = 8  # arrays and columns of a file
+MAX_NAMED = 8  # arrays and columns of a file
 
 
 # Farthest actuator from the middle of all, in metres and in what it looks like otherwise.
-FARTHEST = 1e12  # in any unit: no place
+MAX_COORDINATE = 1e12  # in any unit: no place
 LIKELY_SIZES = {"m": (0.02, 5.0), "mm": (40.0, 5e3), "um": (2e4, 5e6)}
 LIKELY_STIFFNESS = (2e4, 1e9)  # median own stiffness of a mirror [N/m]
-LARGEST = 1e30  # element in any unit
-NOMINAL = 1e6  # that given to a matrix whose unit is unknown [N/m]
+MAX_ELEMENT = 1e30  # element in any unit
+NOMINAL_STIFFNESS = 1e6  # that given to a matrix whose unit is unknown [N/m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ def _squeezed(stored: Stored) -> dict[str, Item]:
 
 
 def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
-    """Return the (n, n) matrix of a file, or (shells, n, n) matrices; which of several, in words."""
+    """Return the (n, n) matrix of a file, or (shells, n, n); which of several, in words."""
     with naming(stored.path or None):
         items = _squeezed(stored)
         if dataset is not None:
@@ -200,7 +200,7 @@ def there_is(stored: Stored) -> str:
     """Say which arrays and columns of numbers a file has."""
     parts = [f"{n or 'one'} {item.values.shape}" for n, item in stored.arrays.items()]
     parts += [f"column '{name}'" for name in stored.columns]
-    return f"there is {', '.join(parts[:MOST_NAMED])}" if parts else "there are no arrays in it"
+    return f"there is {', '.join(parts[:MAX_NAMED])}" if parts else "there are no arrays in it"
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
     x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
     if x.shape != y.shape:
         raise FormatError(f"holds {x.size} X and {y.size} Y", remedy="give both for every actuator")
-    x, y = (np.where(np.abs(values) < FARTHEST, values, np.nan) for values in (x, y))
+    x, y = (np.where(np.abs(values) < MAX_COORDINATE, values, np.nan) for values in (x, y))
     if not np.isfinite(x + y).any():
         raise FormatError("holds no finite positions", remedy="give X and Y")
     unit, how = lengths or positions.unit, "as told" if lengths else "as declared"
@@ -295,7 +295,7 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
         As told, or None; as its file declares, or ''.
     """
     most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
-    if most > LARGEST:
+    if most > MAX_ELEMENT:
         raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again", got=most)
     if not np.isfinite(k).any():
         raise FormatError("holds no finite number", remedy="measure it again")
@@ -308,8 +308,11 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
             "is zero on its diagonal", remedy="give a stiffness or feed-forward matrix"
         )
     if unit == "unknown":
-        said = f"unit unknown: its median own stiffness is called {NOMINAL:g} N/m; alpha does not"
-        return k * (NOMINAL / typical), f"{said} mind, forces and modes are in that unit"
+        called = (
+            f"its median own stiffness is called {NOMINAL_STIFFNESS:g} N/m; alpha does not mind"
+        )
+        said = f"unit unknown: {called}, forces and modes are in that unit"
+        return k * (NOMINAL_STIFFNESS / typical), said
     said = unit or declared
     if said:
         factor = _factor(said, "N/m", "the matrix")

@@ -23,7 +23,7 @@ from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, loca
 from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
 from truenewton.files.hdf5 import import_h5py, unit_of
-from truenewton.files.opening import GZIP, MOST_UNPACKED, open_plain
+from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain
 from truenewton.rounding import counted
 
 COMMENT = "#;%!"
@@ -33,7 +33,7 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
 LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
 UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
-NARROW = 16  # columns, of which some may be words
+MAX_WORD_COLUMNS = 16  # columns, of which some may be words
 
 
 class Item(NamedTuple):
@@ -194,9 +194,9 @@ class TextTable(NamedTuple):
 def text_of(path: str | os.PathLike[str]) -> str:
     """Return the text of a file."""
     with open_plain(path) as file:
-        raw = file.read(MOST_UNPACKED + 1)
-        if len(raw) > MOST_UNPACKED:
-            fault = f"is longer than {MOST_UNPACKED >> 30} GB"
+        raw = file.read(MAX_UNPACKED_BYTES + 1)
+        if len(raw) > MAX_UNPACKED_BYTES:
+            fault = f"is longer than {MAX_UNPACKED_BYTES >> 30} GB"
             raise UnreadableFile(fault, remedy="give FITS, .npy or HDF5")
         if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
             return raw.decode("utf-16", "replace")
@@ -243,7 +243,7 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
         data = data[1:]
     if not data:
         raise FormatError("holds a header and no numbers", remedy="give its rows")
-    if len(_cells(data[0].text, between)) <= NARROW:
+    if len(_cells(data[0].text, between)) <= MAX_WORD_COLUMNS:
         return _narrow(data, between, names)
     return TextTable(_unlabelled(_wide(data, between), bool(names)), {})
 

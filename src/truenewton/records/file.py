@@ -30,6 +30,8 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LEAST_NOISE, Load
 
+SUFFIXES = (".fits", ".fits.gz")
+ROUNDING = 1e-12  # of the largest mean
 INSTRUMENT = Keyword("INSTRUME", "instrument", "mirror", kind="str")
 ID = Column("ID", "layout.id", kind="int")
 X, Y = (Column(name, f"layout.{name.lower()}", "m") for name in "XY")
@@ -116,10 +118,6 @@ SOURCES = TableFormat(
     ),
     of="sources",
 )
-
-
-SUFFIXES = (".fits", ".fits.gz")
-ROUNDING = 1e-12  # of the largest mean
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,12 @@ import numpy as np
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
-from truenewton.quantities import LARGEST, Quantity, convert_quantities
+from truenewton.quantities import MAX_NUMBER, Quantity, convert_quantities
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
 
 DISPLACED = ("read", "true")
-NOTHING = 1e-30  # an element below it is 0 [N/m]: squares of what remains stay above zero
+MIN_ELEMENT = 1e-30  # an element below it is 0 [N/m]: squares of what remains stay above zero
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,8 +65,9 @@ class StiffnessMatrix:
         convert_quantities(self)
         freeze(self, "stiffness")
         sizes = np.abs(self.stiffness)
-        if ((sizes > 0.0) & (sizes < NOTHING)).any():
-            object.__setattr__(self, "stiffness", np.where(sizes < NOTHING, 0.0, self.stiffness))
+        tiny = sizes < MIN_ELEMENT
+        if (tiny & (sizes > 0.0)).any():
+            object.__setattr__(self, "stiffness", np.where(tiny, 0.0, self.stiffness))
             freeze(self, "stiffness")
         n = self.layout.n
         if self.stiffness.shape != (n, n):
@@ -77,7 +78,7 @@ class StiffnessMatrix:
                 want=(n, n),
             )
         counted = self.used_stiffness
-        if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > LARGEST:
+        if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > MAX_NUMBER:
             raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
         if not np.abs(counted).max(initial=0.0) > 1e-9:
             raise FormatError(
