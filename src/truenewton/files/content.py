@@ -80,14 +80,9 @@ class FitsFile:
         return made
 
     def values(self, form: FileFormat, largest: float = math.inf) -> dict[str, Any]:
-        """Return what the file holds by attribute: a dictionary for each record inside.
+        """Return what is declared of the file by attribute: a dictionary for each record inside.
 
-        Parameters
-        ----------
-        form
-            What is declared; nothing else is read.
-        largest
-            Beyond what magnitude a number is refused, so that squares of it are numbers.
+        Numbers of a magnitude beyond ``largest`` are refused, so that their squares are numbers.
         """
         values: dict[str, Any] = {}
 

@@ -47,15 +47,7 @@ START = b"SIMPLE"
 
 
 def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS file, plain or gzipped.
-
-    Parameters
-    ----------
-    path
-        The file.
-    whole
-        If false, vector columns of tables are left in the file, unless it is gzipped.
-    """
+    """Read a FITS file; if not whole, vector columns are left in it, unless it is gzipped."""
     with naming(path):
         return _read(os.fspath(path), whole=whole)
 
@@ -207,17 +199,10 @@ def write_fits(
     of_version: FileFormat | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a record in a format, with checksums, beside its target and then renamed.
+    """Write a record in a format, with checksums; gzipped if the name of the file ends in .gz.
 
-    Parameters
-    ----------
-    path
-        The target; gzipped where it ends in .gz.
-    form, record
-        What holds the attributes that the format names.
-    versions, of_version
-        More records, each by its EXTVER, all in one format; their keywords stand in the header of
-        their first extension.
+    ``versions`` are more records by their EXTVER, all in the format ``of_version``; their keywords
+    are in the header of their first extension.
     """
     hdus = _hdus(record, form, versions or {}, of_version or form, path)
     with file_beside(path, overwrite=overwrite) as temporary, temporary.open("wb") as file:

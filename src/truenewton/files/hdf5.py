@@ -88,15 +88,7 @@ def is_hdf5(path: str | os.PathLike[str]) -> bool:
 
 
 def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read an HDF5 file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    whole
-        If false, vector columns of tables are left in the file; those of SAMPLES always are.
-    """
+    """Read an HDF5 file; if not whole, vector columns are left in it; those of SAMPLES always."""
     with naming(path):
         return _read(os.fspath(path), whole=whole)
 
@@ -195,15 +187,7 @@ def _plain(value: Any) -> Any:
 def write_hdf5(
     path: str | os.PathLike[str], form: FileFormat, record: Any, *, overwrite: bool = False
 ) -> None:
-    """Write a record in a format, chunked, each chunk with its checksum (Fletcher's).
-
-    Parameters
-    ----------
-    path
-        The target.
-    form, record
-        What holds the attributes that the format names.
-    """
+    """Write a record in a format, chunked, each chunk with its checksum (Fletcher's)."""
     try:
         h5py = import_h5py(path)
     except UnreadableFile as error:

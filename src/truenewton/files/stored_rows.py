@@ -200,15 +200,7 @@ FITS_BLOCK = 2880  # bytes
 
 
 def long_rows(hdu: Any, path: str, state: tuple[int, int]) -> dict[str, StoredRows]:
-    """Return the columns of plain floating-point vectors of a binary table, by name.
-
-    Parameters
-    ----------
-    hdu
-        The table (astropy), its data not yet read.
-    path, state
-        Its file, uncompressed, and what `state_of` says of it.
-    """
+    """Return the columns of plain floating-point vectors of a binary table (astropy), by name."""
     rows, stride, record = hdu.header["NAXIS2"], hdu.header["NAXIS1"], hdu.columns.dtype
     if hdu.header.get("PCOUNT", 0) or record.itemsize != stride:
         return {}

@@ -30,28 +30,14 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         ) from error
 
 
-def filled(
-    kind: type[Filled],
-    table: Mapping[str, Any],
-    path: object,
-    where: str = "",
-    above: Sequence[str] = (),
-) -> Filled:
-    """Return a dataclass filled from a table, its values held against their types.
+def filled(kind: type[Filled], table: Mapping[str, Any], path: object) -> Filled:
+    """Return a dataclass filled from a table of a file, its values held against their types.
 
-    Parameters
-    ----------
-    kind
-        A dataclass of numbers, texts, pairs of numbers, other such dataclasses, and tuples of them.
-    table
-        Keys are the fields' names; a field with a default may be left out.
-    path, where
-        The file and the table, for the message.
-    above
-        Keys of the table round this one, where a key may have been meant to stand.
+    The fields are numbers, texts, pairs of numbers, other such dataclasses, or tuples of them; one
+    with a default may be left out.
     """
     with naming(path):
-        return _filled(kind, table, where, above)
+        return _filled(kind, table, "", ())
 
 
 def _filled(
@@ -78,16 +64,16 @@ def check_keys(
     known: Sequence[str],
     path: object,
     where: str = "",
-    above: Sequence[str] = (),
 ) -> None:
-    """Refuse the first key of a table that is none of those known; the rest as of `filled`."""
+    """Refuse the first key of a table that is none of those known."""
     with naming(path):
-        _check_keys(table, known, where, above)
+        _check_keys(table, known, where, ())
 
 
 def _check_keys(
     table: Mapping[str, Any], known: Sequence[str], where: str, above: Sequence[str]
 ) -> None:
+    """Refuse a key; one of the table ``above`` may have been meant to stand there."""
     for key in table:
         if key in known:
             continue

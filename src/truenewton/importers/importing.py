@@ -123,8 +123,7 @@ def stiffness_from(
         k, unit_line = in_newton_per_metre(k, unit, given.item.unit)
         k, sign = turned_sign(k.T if transpose else k)
         ways = list(_ways(given, rows, _names(ids, given.channels)))
-        when, how = date_of(given) if date is None else (date, "as told")
-        when = when.replace(tzinfo=when.tzinfo or datetime.UTC)
+        when, how = date_of(given, date)
     except TrueNewtonError as error:
         raise located(error, given.path or None) from None
     name = instrument or given.name

@@ -184,8 +184,10 @@ def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
         return in_metres(found, surface)
 
 
-def date_of(given: Given) -> tuple[datetime.datetime, str]:
+def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.datetime, str]:
     """Return when it was measured (UTC), and what says so."""
+    if told is not None:
+        return told.replace(tzinfo=told.tzinfo or datetime.UTC), "as told"
     track = str(given.header.get("TRACKNUM", "")), Path(given.path).name
     for text in track:
         match = TRACK_NUMBER.search(text)

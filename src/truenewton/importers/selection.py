@@ -285,14 +285,9 @@ def _likeliest_unit(x: Array, y: Array) -> str:
 
 
 def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Array, str]:
-    """Return an (n, n) matrix in N/m, and what was taken for its unit.
+    """Return an (n, n) matrix in N/m, and what was taken for its unit: as told, or as declared.
 
-    Parameters
-    ----------
-    k
-        (n, n), NaN where nothing was measured.
-    unit, declared
-        As told, or None; as its file declares, or ''.
+    NaN is where nothing was measured.
     """
     most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
     if most > MAX_ELEMENT:
@@ -308,10 +303,8 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
             "is zero on its diagonal", remedy="give a stiffness or feed-forward matrix"
         )
     if unit == "unknown":
-        called = (
-            f"its median own stiffness is called {NOMINAL_STIFFNESS:g} N/m; alpha does not mind"
-        )
-        said = f"unit unknown: {called}, forces and modes are in that unit"
+        said = f"unit unknown: its median own stiffness is called {NOMINAL_STIFFNESS:g} N/m;"
+        said += " alpha does not mind, forces and modes are in that unit"
         return k * (NOMINAL_STIFFNESS / typical), said
     said = unit or declared
     if said:
