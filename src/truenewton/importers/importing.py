@@ -178,15 +178,13 @@ def _checked(
 
 def _first_that_fits(ways: list[Positions], check: Callable[[Positions], Checked]) -> Checked:
     """Return the first of several orders of positions in which couplings follow the distance."""
-    for way in ways[:-1]:
+    first: TrueNewtonError | None = None
+    for way in ways:
         try:
             return check(way)
-        except (OtherOrder, GeometryError):
-            continue
-    try:
-        return check(ways[-1])
-    except (OtherOrder, GeometryError):
-        return check(ways[0])  # whose fault is said
+        except (OtherOrder, GeometryError) as error:
+            first = first or error
+    raise first or FormatError("there are no positions with it")
 
 
 def _without_circle(error: TrueNewtonError, given: Given) -> TrueNewtonError:

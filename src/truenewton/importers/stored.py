@@ -74,9 +74,9 @@ def read_stored(path: str | os.PathLike[str]) -> Stored:
         for magic, read in READERS.items():
             if start.startswith(magic):
                 return read(path)
-        table = read_text(path)
-        arrays = {} if table.values is None else {"": Item(table.values)}
-        return Stored(path, arrays, {name: Item(c) for name, c in table.columns.items()})
+        values, columns = read_text(path)
+        arrays = {} if values is None else {"": Item(values)}
+        return Stored(path, arrays, {name: Item(column) for name, column in columns.items()})
     except TrueNewtonError as error:
         raise located(error, path) from None
     except Exception as error:  # a damaged file can raise nearly anything inside its library
@@ -169,26 +169,14 @@ READERS = {
 }
 
 
+TextTable = tuple[NDArray[Any] | None, dict[str, NDArray[Any]]]
+
+
 class Line(NamedTuple):
     """A line as it stands in its file, and its number there, from 1."""
 
     number: int
     text: str
-
-
-class TextTable(NamedTuple):
-    """A text file of numbers.
-
-    Attributes
-    ----------
-    values
-        (rows, columns), or as its type line says; None where a column holds words.
-    columns
-        Those that hold numbers, by the names of a header.
-    """
-
-    values: NDArray[Any] | None
-    columns: dict[str, NDArray[Any]]
 
 
 def text_of(path: str | os.PathLike[str]) -> str:
@@ -210,7 +198,10 @@ def text_of(path: str | os.PathLike[str]) -> str:
 
 
 def read_text(path: str | os.PathLike[str]) -> TextTable:
-    """Read a text file of numbers."""
+    """Return (rows, columns) of a text file, and those columns that have a name and numbers.
+
+    The first has the shape of a type line, if there is one; it is None if a column holds words.
+    """
     # A tab may stand for an empty cell in the corner, unless every line begins with one.
     whole = text_of(path).splitlines()
     if whole and whole[0].startswith(ECSV):  # units in its comments would be lost
@@ -224,7 +215,7 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
         raise FormatError("holds no numbers", remedy="give a file with numbers")
     typed = TYPED.fullmatch(data[0].text)
     if typed:
-        return TextTable(_typed(typed[2], [line.text for line in data[1:]]), {})
+        return _typed(typed[2], [line.text for line in data[1:]]), {}
     between = _separators(data[-1].text)
     if between.delimiter == ";":  # then it begins no comment
         data = [line for line in every if line.text[0] not in COMMENT.replace(";", "")]
@@ -245,7 +236,7 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
         raise FormatError("holds a header and no numbers", remedy="give its rows")
     if len(_cells(data[0].text, between)) <= MAX_WORD_COLUMNS:
         return _narrow(data, between, names)
-    return TextTable(_unlabelled(_wide(data, between), bool(names)), {})
+    return _unlabelled(_wide(data, between), bool(names)), {}
 
 
 class Between(NamedTuple):
@@ -312,8 +303,8 @@ def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
     numbers = [column for column in columns if column is not None]
     labelled = columns[0] is None and len(numbers) == len(columns) - 1 == len(rows) > 2
     if len(numbers) < len(columns) and not labelled:
-        return TextTable(None, named)
-    return TextTable(_unlabelled(np.array(numbers).T, bool(names)), named)
+        return None, named
+    return _unlabelled(np.array(numbers).T, bool(names)), named
 
 
 def _alike(lines: list[Line], between: Between) -> list[list[str]]:
