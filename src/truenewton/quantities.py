@@ -65,11 +65,13 @@ class Quantity:
                 )
 
     def _remedy(self, number: float) -> str:
+        if number > self.high == MAX_NUMBER or number < self.low == -MAX_NUMBER:
+            return f"check its unit; numbers are in SI units, up to {MAX_NUMBER:g}"
         if self.why:
             turned = self.high <= 0.0 and self.low <= -number <= self.high
             return f"{self.why}: store {-number:g}" if turned else self.why
         if self.low < 0.0:
-            return f"check its unit; numbers are in SI units, up to {self.high:g}"
+            return f"give {self.low:g} to {self.high:g}"
         words = "zero or more," if self.low == 0.0 else f"a positive number, {self.low:g}"
         return f"give {words} to {self.high:g}"
 
