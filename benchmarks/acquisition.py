@@ -25,7 +25,7 @@ import numpy as np
 import truenewton as tn
 from truenewton.acquisition.journal import record_type
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
-from truenewton.acquisition.progress import Progress
+from truenewton.acquisition.taker import Progress
 from truenewton.bench.protocol import Bench, Reading, Shape, Status
 from truenewton.files.fits import write_fits
 from truenewton.files.format import FileFormat, ImageFormat

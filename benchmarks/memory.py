@@ -57,14 +57,15 @@ def calibrate(folder: Path) -> None:
     import truenewton.reading
     from truenewton.calibration import methods
     from truenewton.cli.main import main as command
-    from truenewton.estimation import cycle_errors, cycles_ml, problem
+    from truenewton.estimation import campaign_ml, problem
+    from truenewton.estimation.paper import cycle_errors
 
     for name, module, function in (
         ("tn.read: checksums, SHA256, checks", truenewton.reading, "read_data"),
-        ("means of repeats, rows far from them", methods, "sift"),
+        ("means of repeats, rows far from them", methods, "screen_campaign"),
         ("  a minimisation", problem, "minimise"),
-        ("shapes against the balance", cycles_ml, "balancing_groups"),
-        ("maximum likelihood, all of it", cycles_ml, "find"),
+        ("shapes against the balance", campaign_ml, "balancing_groups"),
+        ("maximum likelihood, all of it", campaign_ml, "find"),
         ("E_CYCLE", cycle_errors, "read_rows"),
         ("calibrate, all of it", methods, "calibrate"),
         ("writing the calibration", truenewton.calibration.result.Calibration, "write"),

@@ -21,7 +21,7 @@ import numpy as np
 from speed import START, ring_layout
 
 import truenewton as tn
-from truenewton.estimation.diagnosis import Sensor
+from truenewton.estimation.findings.estimate import Sensor
 from truenewton.modal import findings, true_stiffness
 from truenewton.statics.arms import arms
 

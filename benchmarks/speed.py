@@ -35,11 +35,12 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotri
 
 import truenewton as tn
-from truenewton.estimation import cycle_errors, cycles_ml, problem
-from truenewton.estimation.cycle_errors import CycleErrors
-from truenewton.estimation.effects.examined import Examined
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.systems import system_e
+from truenewton.estimation import campaign_ml, problem
+from truenewton.estimation.effects.examination import ExaminedFit
+from truenewton.estimation.paper import cycle_errors
+from truenewton.estimation.paper.cycle_errors import CycleErrors
+from truenewton.estimation.paper.equations import system_e
+from truenewton.estimation.readings.row_readers import read_rows
 from truenewton.linalg import ROWS_AT_ONCE, mirrored
 from truenewton.statics.arms import arms, enabled_arms
 
@@ -127,17 +128,17 @@ def without_cycle_errors(campaign: tn.Campaign) -> tn.Calibration:
 
 def without_the_unseen(campaign: tn.Campaign) -> tn.Calibration:
     """Calibrate, but do not ask what no data show."""
-    with replaced(cycles_ml, "unseen_errors", lambda _: ()):
+    with replaced(campaign_ml, "unseen_errors", lambda _: ()):
         return without_cycle_errors(campaign)
 
 
 def without_catalogue(campaign: tn.Campaign) -> tn.Calibration:
     """Calibrate, but look for no effects, nor for what no data show."""
 
-    def nothing(fitted: Any, moments: Any, minimum: Any, *_: Any) -> Examined:
-        return Examined(fitted, moments, minimum)
+    def nothing(fitted: Any, moments: Any, minimum: Any, *_: Any) -> ExaminedFit:
+        return ExaminedFit(fitted, moments, minimum)
 
-    with replaced(cycles_ml, "examined", nothing):
+    with replaced(campaign_ml, "examined", nothing):
         return without_the_unseen(campaign)
 
 

@@ -43,7 +43,7 @@ def contracts() -> list[dict[str, object]]:
 
 def layers() -> list[list[str]]:
     """Return the rooms and loose modules, layer by layer from the top."""
-    (only,) = (c for c in contracts() if c["type"] == "layers")
+    (only,) = (c for c in contracts() if c.get("containers") == ["truenewton"])
     return [re.split(r"\s*[|:]\s*", str(layer)) for layer in only["layers"]]  # type: ignore[attr-defined]
 
 

@@ -23,10 +23,9 @@ import scipy.linalg
 import truenewton as tn
 from truenewton.bench.simulated.static import START, StaticBench, static_bench
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation import cycles_svd
-from truenewton.estimation.systems import system_e
-from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import weight_errors
+from truenewton.estimation.findings.scale_budget import weight_errors
+from truenewton.estimation.paper import svd as paper_svd
+from truenewton.estimation.paper.equations import Unknowns, system_e
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import GRAVITY, Mirror, p45
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
@@ -194,10 +193,10 @@ def by_ml(campaign: tn.Campaign) -> Answer:
 
 
 def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
-    solved = cycles_svd.solve(*system_e(campaign, a))
+    solved = paper_svd.solve(*system_e(campaign, a))
     n = a.shape[1]
-    reading_covariance = np.diag(cycles_svd.scatter_covariance(campaign, solved))[:n]
-    changes = cycles_svd.weight_changes(campaign, solved, weight_errors(campaign))[:, :n]
+    reading_covariance = np.diag(paper_svd.scatter_covariance(campaign, solved))[:n]
+    changes = paper_svd.weight_changes(campaign, solved, weight_errors(campaign))[:, :n]
     whole = reading_covariance + np.sum(changes**2, axis=0)
     return Answer(solved.solution[:n], np.sqrt(reading_covariance), np.sqrt(whole))
 

@@ -15,9 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from studies.step_response import plot_step_responses, settling_time, step_responses
-from truenewton.bench.simulated.loop import Loop, equilibrium
-from truenewton.bench.simulated.noise import row_noise
-from truenewton.bench.simulated.record import record
+from truenewton.bench.simulated.loop import Loop, equilibrium, record, row_noise
 from truenewton.bench.simulated.static import loop_of, static_bench
 from truenewton.mirrors.known import Mirror, p45, ring
 from truenewton.statics.arms import arms

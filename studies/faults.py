@@ -79,7 +79,7 @@ class Trial:
     error, stated
         (n,) of alpha and as stated, both relative; NaN where not judged or without alpha.
     words, where
-        What was said; what must stand in the right word, as the actuators that are struck.
+        What was said; what must stand in the right word, as the actuators that are affected.
     probability, rejected
         Of chi2; share of rows left out.
     reciprocal, sound
@@ -154,7 +154,7 @@ def commonest(words: Sequence[tuple[Word, ...]]) -> str:
 
 
 def is_right(word: Word, fault: Fault, where: tuple[str, ...]) -> bool:
-    """Tell whether a word names the cause, and where that struck."""
+    """Tell whether a word names the cause, and where that affected."""
     text = f"{word.name} {word.where}"
     places = all(re.search(rf"\b{re.escape(place)}\b", text) for place in where)
     return bool(fault.cause and re.search(fault.cause, text, re.IGNORECASE) and places)

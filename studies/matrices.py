@@ -28,10 +28,10 @@ import truenewton as tn
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import METHODS, Known
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.sifted_matrix import sift_matrix
-from truenewton.estimation.stiffness_ml import column_fit
-from truenewton.estimation.stiffness_svd import columns_of
+from truenewton.estimation.matrix.misfits import condensed
+from truenewton.estimation.matrix.ml import column_fit
+from truenewton.estimation.matrix.modes import columns_of
+from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
 
@@ -123,17 +123,17 @@ def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
     """Return error, stated error, coverage, chi2, bad missed, good left out, if by ml, sensors."""
     sensors = ()
     try:
-        sifted = sift_matrix(matrix)
+        screened = screen_matrix(matrix)
         if method == "ml":
-            fit = column_fit(columns_of(sifted), population=population)
+            fit = column_fit(columns_of(screened), population=population)
             found, covariance, by_ml = fit.alpha, fit.covariance, True
         else:
-            estimate, _ = METHODS[method].of_stiffness(sifted, Known())
+            estimate, _ = METHODS[method].of_stiffness(screened, Known())
             found, covariance = estimate.values, estimate.reading_covariance
             by_ml, sensors = estimate.method == "ml", estimate.sensors
     except TrueNewtonError:
         return (np.nan,) * 9
-    on = sifted.matrix.layout.enabled
+    on = screened.matrix.layout.enabled
     error, stated = found - alpha[on] / alpha[on].mean(), np.sqrt(np.diag(covariance))
     covered, out = np.mean(np.abs(error) < 1.96 * stated), set(np.flatnonzero(~on).tolist())
     rms = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(stated**2))

@@ -26,8 +26,8 @@ import truenewton as tn
 from studies.matrices import LAWS, measured_lbt672, measured_or_made, noisy, true_stiffness
 from studies.simulated_matrices import by_glass, drawn
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation.coherent_imbalance import coherent_imbalance, sensor_gains
-from truenewton.estimation.sifted_matrix import as_calibrated
+from truenewton.estimation.matrix.coherent_imbalance import coherent_imbalance, sensor_gains
+from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.records.stiffness_matrix import StiffnessMatrix

@@ -9,8 +9,8 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.truth import Truth
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.dissipation import Budget, Dissipation, dissipation
 from truenewton.modal.findings import ModalFindings
@@ -56,7 +56,7 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
     )
     calibration = replace(found.calibration, alpha=truth.alpha)
     stiffness = true_stiffness(matrix, calibration)
-    reader = motion_reader(sift(campaign))
+    reader = motion_reader(screen_campaign(campaign))
     read_rows(campaign, (reader.take,))
     static = static_force(stiffness, calibration, reader.force_at_rest)
     efficiency = found.after.costs[0].efficiency

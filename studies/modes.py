@@ -22,7 +22,7 @@ import numpy as np
 import truenewton as tn
 from studies.modal_truth import score_modes
 from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
-from truenewton.estimation.reciprocity.sight import places_of, sight
+from truenewton.estimation.reciprocity.sensor_model import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import at_nominal
 from truenewton.mirrors.sight import motion_for
 from truenewton.modal.comparison import compare_modes

@@ -33,19 +33,19 @@ from truenewton.bench.simulated.static import (
     run_cycles,
     static_bench,
 )
-from truenewton.estimation import cycles_ml
-from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.reciprocity import cycles
+from truenewton.estimation import campaign_ml
+from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity.iteration import fit, point_at
 from truenewton.estimation.reciprocity.regression import regressed
-from truenewton.estimation.reciprocity.sight import places_of
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values, at_nominal
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.reciprocity.sensor_model import places_of
+from truenewton.estimation.reciprocity.unknowns import Kind, Request, Values, at_nominal
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.sight import motion_for
 from truenewton.records.campaign import Campaign
 
-GAINS = {"gains known": Asked(), "gains +- 0.4 %": Asked(0.004), "gains free": Asked(np.inf)}
+GAINS = {"gains known": Request(), "gains +- 0.4 %": Request(0.004), "gains free": Request(np.inf)}
 
 
 def about_mean(covariance):
@@ -81,7 +81,7 @@ def log_about(alpha):
 
 def chi2_at(places, stiffness, values):
     """Return chi2 of S, t and A, over the number of each, at some values."""
-    point = point_at(places, values, Asked(), stiffness.states)
+    point = point_at(places, values, Request(), stiffness.states)
     m = point.states.count
     return np.array(point.left.chi2(point.weights)) / (3 * m, 3 * m, m * (m - 1) / 2)
 
@@ -129,11 +129,11 @@ def campaigns(seeds, bounds, noise, loop):
         alpha = bench.truth.alpha
         if loop:
             alpha = alpha * (1 + bench.coils.coil_gradient * rest_displacement(bench).mean(axis=0))
-        sifted = sift(campaign)
+        screened = screen_campaign(campaign)
         for name, estimate in (
-            ("ml", cycles_ml.find(sifted)),
-            ("reciprocity, glass known", cycles.find(sifted, motion)),
-            ("reciprocity", cycles.find(sifted)),
+            ("ml", campaign_ml.find(screened)),
+            ("reciprocity, glass known", reciprocity_of_campaign.find(screened, motion)),
+            ("reciprocity", reciprocity_of_campaign.find(screened)),
         ):
             found = estimate.values[:n]
             relative = estimate.reading_covariance[:n, :n] / np.outer(found, found)
@@ -141,9 +141,9 @@ def campaigns(seeds, bounds, noise, loop):
                 np.log(found / alpha), relative, [estimate.goodness.reduced]
             )
         gain, offset = np.log(bench.truth.sensor_gain), np.zeros((2, n))
-        noises = reading_noise(campaign, sifted.moments)
+        noises = reading_noise(campaign, screened.moments)
         gradients = {"bias_gradient": mirror.bias_gradient, "coil_gradient": mirror.coil_gradient}
-        stiffness = regressed(sifted.moments, noises.variance, **gradients)
+        stiffness = regressed(screened.moments, noises.variance, **gradients)
         at_truth.append(chi2_at(exact, stiffness, Values(log_about(alpha), gain, offset)))
         for name, asked in GAINS.items():
             start = replace(at_nominal(n), log_alpha=log_about(found))

@@ -14,10 +14,10 @@ from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import START
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation.reciprocity.gate import refusals
+from truenewton.estimation.reciprocity.acceptance import refusals
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
-from truenewton.estimation.reciprocity.sight import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind
+from truenewton.estimation.reciprocity.sensor_model import places_of, sight
+from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Request
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import seen_by
@@ -82,8 +82,8 @@ def gate(seeds):
             truth = alpha - alpha.mean()
             alone = np.nan
             try:
-                alone = np.std(modes.fit(Asked(), balance=True).values.log_alpha - truth)
-                found = examined(modes, USUAL)
+                alone = np.std(modes.fit(Request(), balance=True).values.log_alpha - truth)
+                found = examined(modes, START_REQUEST)
             except TrueNewtonError:
                 rows.append((np.nan, alone, np.nan, False))
                 continue
@@ -229,7 +229,7 @@ def large():
         motion = seen_by(glass) if shell == "with" else None
         matrix = StiffnessMatrix("LBT672", START, at, made.stiffness)
         found = examined(modes_of(matrix, motion))
-        least = bound_of_matrix(made, at, USUAL, motion)
+        least = bound_of_matrix(made, at, START_REQUEST, motion)
         error = found.joint.values.log_alpha - values.log_alpha
         error -= error.mean()
         formal, stated = (

@@ -36,7 +36,7 @@ from truenewton.arrays import Array
 from truenewton.bench.simulated.segmented import SEEDS, SegmentedBench, segmented_bench
 from truenewton.bench.simulated.static import StaticBench, held_command, rows_of_cycle, run_cycles
 from truenewton.bench.simulated.truth import truth_path
-from truenewton.estimation.unknowns import Unknowns
+from truenewton.estimation.paper.equations import Unknowns
 from truenewton.mirrors.file import whole_mirror_from
 from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.mirrors.shell.held_glass import held_glass

@@ -16,7 +16,7 @@ from helpers.comparison import same
 from helpers.raw_samples import stream
 from truenewton import cluster, errors
 from truenewton.errors import ClusterFailed, FormatError, TrueNewtonError, UnreadableFile
-from truenewton.estimation import repeats
+from truenewton.estimation.readings import repeats
 from truenewton.records.file import write_campaign, write_cycle
 from truenewton.records.samples import AveragedRows
 

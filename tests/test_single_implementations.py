@@ -7,8 +7,8 @@ import pytest
 
 from helpers.balanced import campaign_of
 from truenewton.arrays import spread, spread_square
-from truenewton.estimation.imbalance import imbalance_covariance
-from truenewton.estimation.multiple_tests import chance_of_any
+from truenewton.chance import chance_of_any
+from truenewton.estimation.paper.equations import imbalance_covariance
 from truenewton.records.campaign import mean_temperature
 from truenewton.statics.layout import rings
 

@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+FALSE_ALARM = 0.01  # chance that a sound mirror, or campaign, is accused of anything
+OF_EACH_KIND = FALSE_ALARM / 4  # by its rows, shapes, effects, or by a fit that is improbable
+
 # Numbers or arrays, broadcast; NaN where degrees of freedom are none.
 
 
@@ -72,6 +75,11 @@ def t_sf(x: Any, degrees: Any) -> Any:
 def t_isf(chance: Any, degrees: Any) -> Any:
     """Return what Student's t of so many degrees of freedom exceeds by this chance."""
     return -special.stdtrit(degrees, chance)
+
+
+def chance_of_any(chance: float, tests: int) -> float:
+    """Return the chance that any of so many independent tests comes out as rare (Sidak)."""
+    return float(-np.expm1(tests * np.log1p(-min(chance, 1 - 1e-16))))
 
 
 def _some(degrees: Any) -> Any:

@@ -11,13 +11,10 @@ import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
 from helpers.stub_bench import SMALL, GoneBench, Hands, Looker, StubBench, altered, at
 from truenewton.acquisition import taker
-from truenewton.acquisition.benches import chosen_bench
-from truenewton.acquisition.load_check import judge, mean_sum
+from truenewton.acquisition.acquire import MAX_INVALID_IN_A_ROW, MAX_REQUESTS
+from truenewton.acquisition.checks import judge, mean_sum
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
-from truenewton.acquisition.run import ASKED, IN_A_ROW
-from truenewton.bench.choice import BenchChoice
-from truenewton.bench.protocol import Status
-from truenewton.bench.replay import ReplayBench
+from truenewton.bench.protocol import BenchChoice, Status
 from truenewton.bench.simulated.bench import SimulatedBench
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import BenchFault, CampaignMismatch, FormatError, LimitExceeded
@@ -69,22 +66,6 @@ def test_the_rows_are_those_that_the_simulated_campaign_makes_by_itself(tmp_path
             assert getattr(taken, name) == getattr(made, name)
         assert taken.force_error == pytest.approx(made.force_error)
         assert np.all(np.diff(taken.time) > 0)
-
-
-def test_a_recorded_campaign_replays_to_itself(complete, tmp_path, whole):
-    again = small_plan(bench=BenchChoice("replay", address="c"))
-    tn.acquire(chosen_bench(again, tmp_path), again, tmp_path / "b", beside=tmp_path)
-    assert contents(tmp_path / "b") == whole
-    for one, other in zip(cycles_in(complete), cycles_in(tmp_path / "b"), strict=True):
-        assert other.time == pytest.approx(one.time, abs=2e-6)
-        assert other.date == one.date
-
-
-def test_another_plan_than_the_recorded_one_is_not_replayed(whole_folder, tmp_path):
-    larger = small_plan(shapes=PlannedShapes(count=3, stroke=2e-6))
-    with pytest.raises(BenchFault, match="in a row"):
-        tn.acquire(ReplayBench(whole_folder), larger, tmp_path / "b")
-    assert "recorded in another shape" in events(tmp_path / "b", "not sound")[0]["fault"]
 
 
 def test_what_is_commanded_logged_and_told(tmp_path):
@@ -167,7 +148,7 @@ def test_a_load_that_never_comes_stops_the_run_and_the_same_call_goes_on(tmp_pat
     bench = StubBench(put=lambda load: LOADS[0])
     with pytest.raises(BenchFault, match="'ring' is not on: the sum of the forces changed by"):
         tn.acquire(bench, small_plan(), tmp_path / "c")
-    assert bench.asked == ["bare"] + ASKED * ["ring"]
+    assert bench.asked == ["bare"] + MAX_REQUESTS * ["ring"]
     tn.acquire(StubBench(), small_plan(), tmp_path / "c")
     assert len(fits_paths([tmp_path / "c"])) == 4
 
@@ -230,7 +211,7 @@ def test_a_bench_that_was_started_anew_is_told_its_load_and_no_row_is_lost(
 
 
 def test_a_load_that_fell_off_while_a_server_was_gone_is_missed(tmp_path):
-    tries = iter([LOADS[0], LOADS[1], *[LOADS[0]] * ASKED])
+    tries = iter([LOADS[0], LOADS[1], *[LOADS[0]] * MAX_REQUESTS])
     bench = Forgetful(("ring", 1, 2, 1), put=lambda load: next(tries))
     with pytest.raises(BenchFault, match="'ring' is not on: the sum of the forces changed by"):
         tn.acquire(bench, small_plan(), tmp_path / "c")
@@ -279,7 +260,7 @@ NAN = np.full(8, np.nan)
 def test_an_unsound_reading_is_retried_then_marked(tmp_path, whole_folder, change, said):
     bench = StubBench(spoil=at(("bare", 1, 2, 1), change))
     tn.acquire(bench, small_plan(), tmp_path / "c")
-    assert bench.read_of.count(("bare", 1, 2, 1)) == taker.ATTEMPTS
+    assert bench.read_of.count(("bare", 1, 2, 1)) == taker.MAX_ATTEMPTS
     first, *others = cycles_in(tmp_path / "c")
     assert np.flatnonzero(~first.valid).tolist() == [2]
     assert all(cycle.valid.all() for cycle in others)
@@ -310,7 +291,7 @@ def test_readings_that_freeze_end_the_run_and_are_taken_again(tmp_path, whole, n
     bench = StubBench(spoil=freeze)
     with pytest.raises(BenchFault, match=f"no {name} has changed since the last shape") as raised:
         tn.acquire(bench, small_plan(), tmp_path / "c")
-    assert f"{IN_A_ROW} shapes in a row" in raised.value.fault
+    assert f"{MAX_INVALID_IN_A_ROW} shapes in a row" in raised.value.fault
     assert raised.value.path == tmp_path / "c"
     assert bench.shape is None
     tn.acquire(StubBench(), small_plan(), tmp_path / "c")
@@ -340,7 +321,7 @@ def test_rows_that_are_not_valid_are_said_with_what_takes_them_again(tmp_path, i
     path.write_text(toml_text(small_plan()), encoding="utf-8")
     unsettled = StubBench(spoil=at(("ring", 1, 2, -1), altered(settled=False)))
     benches = iter([unsettled, StubBench()])
-    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", lambda *_: next(benches))
+    monkeypatch.setattr("truenewton.acquisition.acquire.chosen_bench", lambda *_: next(benches))
     monkeypatch.setattr(SimulatedBench, "write_truth", lambda *_, **__: None)
     said = ", but 1 of 24 rows are not valid (ring-001.fits 1); to take a cycle again remove its"
     for already in ("", " already"):
@@ -353,7 +334,7 @@ def test_rows_that_are_not_valid_are_said_with_what_takes_them_again(tmp_path, i
 
 
 def test_a_bench_that_hangs_ends_the_run_at_the_second_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(taker, "HANGING", 0.01)
+    monkeypatch.setattr(taker, "HANG_TIME", 0.01)
 
     def hang(shape, reading):
         if shape.number < 2:
@@ -402,7 +383,7 @@ def test_a_server_that_stays_away_ends_the_run_which_goes_on_later(
     tmp_path, whole_again, monkeypatch
 ):
     monkeypatch.setattr(taker, "FIRST_WAIT", 0.001)
-    monkeypatch.setattr(taker, "PATIENCE", 0.01)
+    monkeypatch.setattr(taker, "MAX_ABSENCE", 0.01)
     with pytest.raises(BenchFault, match=r"did not come back within 0\.01 s .connection refused"):
         tn.acquire(GoneBench(looks=10**9), small_plan(), tmp_path / "c")
     tn.acquire(StubBench(), small_plan(), tmp_path / "c")

@@ -10,20 +10,21 @@ import pytest
 import truenewton as tn
 from helpers.acquisition_plans import contents, small_plan
 from helpers.stub_bench import Looker, StubBench, at
-from truenewton.acquisition.drift import (
+from truenewton.acquisition.load_order import (
+    cycle_time,
     mounting_variance,
+    mountings,
     order_cost,
     scale_balance,
     turns_that_pay,
     with_turns,
 )
-from truenewton.acquisition.mountings import cycle_time, mountings
 from truenewton.acquisition.plan import AssumedDrift, CampaignPlan, read_plan, template
 from truenewton.errors import CampaignMismatch, FormatError
-from truenewton.estimation.diagnosis import NoiseSource
-from truenewton.estimation.noise import Noise
+from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.problem import problem_of
-from truenewton.estimation.sifted import campaign_moments
+from truenewton.estimation.screening.noise import Noise
+from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.planning.forces import noiseless, prepared
 from truenewton.planning.third_load import third_load

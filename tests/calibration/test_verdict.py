@@ -16,10 +16,10 @@ from truenewton.bench.simulated.static import START
 from truenewton.calibration import figures
 from truenewton.calibration.verdict import Level, verdict_on
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
-from truenewton.estimation.diagnosis import Goodness, NoiseSource
 from truenewton.estimation.findings.catalogue import read_name
+from truenewton.estimation.findings.estimate import Goodness, NoiseSource
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.stiffness_svd import Imbalance
+from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix

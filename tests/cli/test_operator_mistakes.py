@@ -12,7 +12,7 @@ from helpers.balanced import p45_bench
 from helpers.changed import p45, said, with_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient, TooManyOutliers
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import p45 as p45_mirror
 from truenewton.records.campaign import Campaign
 
@@ -370,4 +370,4 @@ def test_a_column_of_zeros_in_one_file_is_no_crash():
     files = changed(lambda c: replace(c, force=np.where(first, 0.0, c.force)), ONE)()
     frozen = pytest.raises(TooManyOutliers, match="frozen reading: actuator 1 in ring 3")
     with np.errstate(divide="raise", invalid="raise"), frozen:
-        sift(Campaign(tuple(files)))
+        screen_campaign(Campaign(tuple(files)))

@@ -11,9 +11,9 @@ from helpers.changed import check_alike, p45, said, with_forces
 from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import START
 from truenewton.errors import RankDeficient, TrueNewtonError, TrueNewtonWarning
-from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.rounding_steps import hidden_variance, rounding_steps
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.readings.rounding_steps import hidden_variance, rounding_steps
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -120,8 +120,8 @@ def test_a_fault_is_said_first_with_what_mends_it(made, level, fault, remedy):
     lambda: with_forces(p45(), lambda _, f: np.clip(f, -0.3951, 0.3951)),  # a reading or two
 ])  # fmt: skip
 def test_sound_data_have_no_frozen_reading(made):
-    sifted = sift(Campaign(tuple(made())))
-    assert not [effect for effect in sifted.suspects if "frozen" in effect.name]
+    screened = screen_campaign(Campaign(tuple(made())))
+    assert not [effect for effect in screened.suspects if "frozen" in effect.name]
 
 
 def test_an_order_that_balances_as_well_is_told_by_position(tmp_path):
@@ -211,7 +211,7 @@ def test_rounding_is_noise_and_no_outlier(noise, count):
 
 def test_rounding_is_added_to_a_smaller_declared_force_error():
     made = Campaign(tuple(rounded([replace(c, force_error=1e-5) for c in p45(1e-5, 1)])))
-    noise = reading_noise(made, sift(made).moments)
+    noise = reading_noise(made, screen_campaign(made).moments)
     each = np.sqrt(noise.variance) * 1e-5 / 1e-3
     assert each == pytest.approx(np.hypot(1e-5, STEP / np.sqrt(12)), rel=1e-3)
 

@@ -8,14 +8,14 @@ import pytest
 from helpers.balanced import ungraded
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.problem import problem_of
-from truenewton.estimation.sifted import campaign_moments
-from truenewton.estimation.undetermined import (
+from truenewton.estimation.campaign_ml import (
     undetermined_patterns,
     with_patterns_held,
     with_undetermined_patterns,
 )
+from truenewton.estimation.problem import problem_of
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign
 from truenewton.statics.layout import layout

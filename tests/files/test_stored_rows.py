@@ -17,11 +17,11 @@ from helpers.comparison import same
 from truenewton import reading
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import UnreadableFile
-from truenewton.estimation import repeats
-from truenewton.estimation.cycle_errors import CycleErrors, from_rows
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import sift
-from truenewton.estimation.systems import system_c
+from truenewton.estimation.paper.cycle_errors import CycleErrors, from_rows
+from truenewton.estimation.paper.equations import system_c
+from truenewton.estimation.readings import repeats
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows
 from truenewton.files.stored_rows import StoredRows
 from truenewton.reading import read, read_data
@@ -167,7 +167,7 @@ def peak_of_reading_twice(path):
     stored = read_data(path)
     gc.collect()  # files leave rings of objects behind
     tracemalloc.reset_peak()
-    sift(stored)
+    screen_campaign(stored)
     read_rows(stored, (CycleErrors(stored, np.ones(stored.layout.n + 5)).take,))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -46,7 +46,6 @@ plan 14 --target:number --json:flag --new:flag -o:text --plot:text
     plan.toml | plan.toml GLASS
     plan.toml --plot out.png | plan.toml GLASS
     loop.toml | loop.toml GLASS
-    replay.toml | replay.toml
     away.toml | away.toml
     measured.toml | measured.toml stiffness.fits
     given.toml | given.toml shapes.fits
@@ -56,7 +55,6 @@ acquire 9 -o:text
     done.toml -o done --yes | done/* done/* done.toml GLASS
     plan.toml -o out --yes | plan.toml GLASS
     loop.toml -o out --yes | loop.toml GLASS
-    replay.toml -o out --yes | replay.toml CYCLES
     away.toml -o out --yes | away.toml keys/*
     given.toml -o out --yes | given.toml shapes.fits
 import 14 --unit:text --lengths:text --curvature:number --arc:flag --mirror:text --ids:text \

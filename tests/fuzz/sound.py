@@ -9,7 +9,7 @@ import numpy as np
 
 import truenewton as tn
 from tests.helpers.acquisition_plans import write_shapes
-from truenewton.acquisition.benches import chosen_bench
+from truenewton.acquisition.acquire import chosen_bench
 from truenewton.acquisition.journal import Journal
 from truenewton.acquisition.plan import read_plan
 from truenewton.bench.opcua.keys import make_keys
@@ -52,7 +52,6 @@ drift = {alpha = 3e-3, zero = 1e-5, remounting = 1e-5}
 BENCHES = {
     "plan": '{kind = "simulated", seed = 1, force_noise = 1e-4, fidelity = "static"}',
     "loop": '{kind = "simulated", seed = 1, force_noise = 1e-4, fidelity = "loop"}',
-    "replay": '{kind = "replay", address = "c"}',
     "away": '{kind = "opcua", address = "opc.tcp://127.0.0.1:9", user = "operator", password_file ='
     ' "keys/password.txt", certificate = "keys/client.der", private_key = "keys/client-key.pem",'
     ' server_certificate = "keys/server.der"}',

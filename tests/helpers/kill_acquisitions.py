@@ -15,7 +15,7 @@ from pathlib import Path
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan
 from helpers.stub_bench import StubBench
-from truenewton.acquisition.run_log import RunLog
+from truenewton.acquisition.journal import RunLog
 
 STEPS = ("open", "write", "fsync", "ftruncate", "replace", "unlink")
 

@@ -10,9 +10,9 @@ import time
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
-from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
 from truenewton.bench.opcua.server import serving
+from truenewton.bench.protocol import BenchChoice
 from truenewton.bench.simulated.bench import SimulatedBench
 from truenewton.mirrors.known import ring
 

@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 
 import truenewton as tn
 from helpers.opcua_server import behind, free_port
-from truenewton.acquisition.benches import chosen_bench
-from truenewton.bench.choice import BenchChoice
+from truenewton.acquisition.acquire import chosen_bench
 from truenewton.bench.opcua import server
+from truenewton.bench.protocol import BenchChoice
 from truenewton.bench.simulated.segmented import bench_of, campaign_on, seed_of, truth_of
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.segments import seen_of
@@ -207,10 +207,9 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     )
     assert np.abs((made.alpha - truth.alpha) / made.error).max() < 4.5
     assert tn.read(folders[1]).instrument == "TINY segment 2"
-    again = tn.read_plan(plan)
-    again = replace(again, bench=BenchChoice("replay", "segment-{segment}"))
+    elsewhere = replace(tn.read_plan(plan), bench=BenchChoice("opticalib", "lab:mirror"))
     with pytest.raises(FormatError, match=r"tiny\.toml' is a mirror in segments"):
-        chosen_bench(again, tiny.parent)
+        chosen_bench(elsewhere, tiny.parent)
     code, _, error = inside("info", folders[1], "--segment", 3)
     assert (code, error.count("\n")) == (2, 1)
     assert f"{folders[1]}: is of segment 2, not 3; give the files of segment 3" in error
@@ -220,8 +219,6 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     code, _, error = inside("info", alone, "--segment", 3)
     assert code == 2
     assert f"{alone}: is of segment 2, not 3" in error
-    bench = chosen_bench(replace(again, segment=2), tiny.parent)
-    assert bench.instrument == "TINY segment 2"
     assert tn.read(folders[:2]).numbers == (1, 2)
     code, out, _ = inside("acquire", plan, "--segment", 1, "-o", folders[0], "--yes")
     assert "complete already" in out

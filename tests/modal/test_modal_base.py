@@ -13,7 +13,7 @@ from studies.modal_truth import score_modes
 from truenewton.bench.simulated.static import START, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnknownName
-from truenewton.estimation.diagnosis import Sensor
+from truenewton.estimation.findings.estimate import Sensor
 from truenewton.modal import findings, words
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import modes_figures

@@ -16,13 +16,13 @@ from truenewton import reading
 from truenewton.bench.simulated.static import loop_of, rows_of_cycle, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.estimation import repeats
-from truenewton.estimation.diagnosis import Sensor
-from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.reciprocity.sight import places_of, sight
+from truenewton.estimation.findings.estimate import Sensor
+from truenewton.estimation.matrix.misfits import condensed
+from truenewton.estimation.readings import repeats
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.reciprocity.sensor_model import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Values
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
@@ -137,7 +137,7 @@ def test_noise_of_the_sensors_does_not_soften():
             tuple(replace(c, position=z) for c, z in zip(cycles, read, strict=True))
         )
         softer.append(np.sum(measured_stiffness(campaign).matrix.stiffness * k) / np.sum(k * k) - 1)
-        reader = motion_reader(sift(campaign))
+        reader = motion_reader(screen_campaign(campaign))
         read_rows(campaign, (reader.take,))
         alike = reader.products().between
         plain = alike.cz @ np.linalg.inv(alike.zz)

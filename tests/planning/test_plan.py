@@ -23,11 +23,11 @@ from truenewton.acquisition.plan import (
 from truenewton.acquisition.shapes import model_glass, shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient
+from truenewton.estimation.findings.scale_budget import FROM_READINGS, tilt_as_load, typical
 from truenewton.estimation.prediction import predict
-from truenewton.estimation.reciprocity.sight import places_of
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
-from truenewton.estimation.sifted import campaign_moments
-from truenewton.estimation.weights import READINGS, tilt_as_load, typical
+from truenewton.estimation.reciprocity.sensor_model import places_of
+from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
+from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.sight import motion_for
 from truenewton.planning.figures import plot_outlook
@@ -129,7 +129,7 @@ def test_of_reciprocity_the_bound_is_predicted(ready, sensors):
     rows = 1e-6 * np.eye(n) + sensors.noise**2 * stiffness @ stiffness.T
     brute = BruteForce(places, stiffness, np.linalg.inv(np.linalg.cholesky(rows)),
                        np.linalg.cholesky(square), slopes=bool(sensors.offset))  # fmt: skip
-    asked = Asked(sensors.gain, sensors.offset)
+    asked = Request(sensors.gain, sensors.offset)
     step = {Kind.ALPHA: 1e-4, Kind.GAIN: 1e-4, Kind.X: 1e-6, Kind.Y: 1e-6}
     steps = np.repeat([step[kind] for kind in asked.kinds], n)
     known = brute.information(at_nominal(n), list(asked.kinds), steps)
@@ -197,7 +197,7 @@ def test_a_tilt_as_the_load(ready, tilt):
     found = predicted(ready.changed(replace(PLAN, loads=leaning)))
     mirror = p45()
     expected = tilt_as_load(mirror.weight, mirror.weight_error, tilt, 0.1)
-    weights = [line.relative for line in found.scale_errors if line.source != READINGS]
+    weights = [line.relative for line in found.scale_errors if line.source != FROM_READINGS]
     assert np.hypot(*weights) == pytest.approx(expected, rel=1e-9)
 
 

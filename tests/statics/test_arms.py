@@ -5,7 +5,7 @@ import pytest
 
 from studies import faults
 from studies.faulty.bench import Day, bench_of
-from truenewton.estimation.systems import system_c
+from truenewton.estimation.paper.equations import system_c
 from truenewton.statics.arms import effective_weight, enabled_arms, external_load, resultants
 from truenewton.statics.layout import layout
 

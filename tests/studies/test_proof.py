@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from truenewton.errors import GeometryError
-from truenewton.estimation import systems
+from truenewton.estimation.paper import equations
 from truenewton.mirrors.known import p45
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import layout
@@ -39,7 +39,7 @@ def test_the_first_columns_are_as_given_and_the_last_three_balance():
 
 def test_a_wrong_sign_of_a_torque_fails_the_proof(monkeypatch):
     """With B = M = N = 0 the mistake stays hidden: only the loaded half of the proof sees it."""
-    right = systems.external_load
+    right = equations.external_load
 
     def wrong(weight, bias, torque_y, torque_x):
         return right(weight, bias, torque_y, np.negative(torque_x))

@@ -1,37 +1,71 @@
-"""A plan run on a bench: checked, locked, resumed, and the mirror at rest whatever happens."""
+"""A plan run on a bench: checked, locked, resumed, and the mirror at rest whatever happens.
+
+What is missing is taken mounting by mounting, cycle by cycle, shape by shape.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
-from collections.abc import Iterator
+import time
+from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from truenewton.acquisition.clock import SteadyClock
-from truenewton.acquisition.folder import PLAN, begin_or_resume, cycle_names, finished_cycles
-from truenewton.acquisition.interruption import Interruption
-from truenewton.acquisition.limits import Guard
-from truenewton.acquisition.lock import locked
+from truenewton.acquisition.checks import Guard, judge, mean_sum, shape_name, sum_at_rest, sum_error
+from truenewton.acquisition.folder import (
+    begin_or_resume,
+    cycle_names,
+    finished_cycles,
+    locked,
+)
+from truenewton.acquisition.journal import (
+    Journal,
+    RunLog,
+    SteadyClock,
+    journal_path,
+    remove_journal,
+)
+from truenewton.acquisition.load_order import mounting_words, mountings
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror, recorded_layout
-from truenewton.acquisition.progress import Nobody, Onlooker, Progress
-from truenewton.acquisition.run import Run, take_all
-from truenewton.acquisition.run_log import RunLog
-from truenewton.acquisition.taker import Taker
+from truenewton.acquisition.taker import (
+    Interruption,
+    Onlooker,
+    Progress,
+    SilentOnlooker,
+    Taker,
+    force_noise,
+)
+from truenewton.arrays import Array
+from truenewton.bench.opcua import connect
+from truenewton.bench.opticalib import from_address
 from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
+from truenewton.bench.simulated.bench import SimulatedBench
+from truenewton.bench.simulated.segmented import seed_of
 from truenewton.errors import (
     BenchFault,
     CampaignMismatch,
+    Interrupted,
     LimitExceeded,
     TrueNewtonError,
     located,
 )
+from truenewton.files.outputs import to_disk
 from truenewton.mirrors.known import Mirror
+from truenewton.records.file import cycle_name, write_cycle
 from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+SEGMENT = "{segment}"  # in address and keys: its number, since each has its own control unit
+MAX_INVALID_IN_A_ROW = 5  # so many shapes that are not valid, one after another, end a run
+MAX_INVALID_AT_END = 3  # so many at the end of a cycle do: of more than one shape, both signs
+MAX_REQUESTS = 3  # times for a load that is not on
 
 
 def acquire(
@@ -59,7 +93,7 @@ def acquire(
     beside
         The folder relative to which files that the plan names stand.
     operator, onlooker
-        Who puts the loads on, the bench if it can; who is told how it goes, nobody unless told.
+        Who puts the loads on, by default the bench if it can; who is shown how it goes.
 
     Returns
     -------
@@ -103,7 +137,7 @@ def acquire(
                 shapes=shapes,
                 folder=folder,
                 operator=operator,
-                taker=Taker(bench, plan, log, onlooker or Nobody(), interruption, progress),
+                taker=Taker(bench, plan, log, onlooker or SilentOnlooker(), interruption, progress),
                 complete=complete,
                 rest_sums={
                     key: each.total for (key, _), each in complete.items() if each.total is not None
@@ -120,6 +154,18 @@ def _operator_of(bench: Bench) -> Operator:
     if not isinstance(bench, Operator):
         raise BenchFault("nobody puts the loads on", remedy="give an operator")
     return bench
+
+
+def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
+    """Return how far a campaign of so many shapes is, with so many cycles complete."""
+    return Progress(
+        shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
+        cycles=plan.cycles,
+        shapes=shapes,
+        done=2 * shapes * complete,
+        total=2 * shapes * plan.cycles * len(plan.loads),
+        smallest_gap=bench.gap,
+    )
 
 
 def _agreed(
@@ -144,18 +190,6 @@ def _agreed(
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
 
 
-def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
-    """Return how far a campaign of so many shapes is, with so many cycles complete."""
-    return Progress(
-        shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
-        cycles=plan.cycles,
-        shapes=shapes,
-        done=2 * shapes * complete,
-        total=2 * shapes * plan.cycles * len(plan.loads),
-        smallest_gap=bench.gap,
-    )
-
-
 def _note_start(run: Run) -> None:
     bench, choice = run.taker.bench, run.plan.bench
     run.taker.log.note(
@@ -170,8 +204,6 @@ def _note_start(run: Run) -> None:
         instrument=bench.instrument,
         actuators=bench.layout.n,
         gap=bench.gap,
-        plan=hashlib.sha256((run.folder / PLAN).read_bytes()).hexdigest(),
-        shapes=hashlib.sha256(run.shapes.tobytes()).hexdigest(),
         complete=len(run.complete),
     )
 
@@ -203,3 +235,173 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
             raise located(error, run.folder).changed(remedy=remedy) from error
         raise
     log.note("complete", invalid=run.taker.progress.invalid)
+
+
+def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
+    """Return the bench of a plan; files that the plan names stand relative to a folder."""
+    choice = plan.bench
+    if choice.kind == "simulated":
+        return simulated_bench(plan, beside)
+    mirror = planned_mirror(plan, beside)  # without its segment refused before anybody is called
+    if plan.segment:
+        given, number = vars(choice).items(), str(plan.segment)
+        texts: dict[str, Any] = {k: text.replace(SEGMENT, number) for k, text in given
+                                 if isinstance(text, str)}  # fmt: skip
+        choice = replace(choice, **texts)
+    if choice.kind == "opticalib":
+        return from_address(choice.address, mirror, beside)
+    return connect(choice, beside)
+
+
+def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> SimulatedBench:
+    """Return the simulated bench of a plan, which has the same truth each time.
+
+    A segment's is that which `simulate` gives it.
+    """
+    seed = plan.bench.seed
+    return SimulatedBench(
+        planned_mirror(plan, beside),
+        seed_of(seed, plan.segment) if plan.segment else seed,
+        loads=plan.loads,
+        force_noise=plan.bench.force_noise,
+        fidelity=plan.bench.fidelity,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What is to be taken, where to, and by whom."""
+
+    plan: CampaignPlan
+    mirror: Mirror
+    layout: Layout  # the actuators as files name and place them
+    shapes: Array  # (shapes, n) [m]
+    folder: Path
+    operator: Operator
+    taker: Taker
+    complete: Collection[tuple[str, int]]  # loads and numbers of cycles that need not be taken
+    rest_sums: dict[str, float]  # of the forces at rest under the loads that were on [N], by key
+    clock: SteadyClock  # goes on after the last instant of the campaign
+
+
+def take_all(run: Run) -> None:
+    """Take whatever is missing, in the order of the plan."""
+    order = mountings(run.plan)
+    for index, mounting in enumerate(order):
+        load = mounting.load
+        missing = [number for number in mounting.cycles if (load.key, number) not in run.complete]
+        if missing:
+            if run.plan.turns > 1:
+                run.taker.onlooker.say(mounting_words(order, index))
+            rest_force = _put_on(run, load, missing[0])
+            for number in missing:
+                _take_cycle(run, load, number, rest_force)
+
+
+def _put_on(run: Run, load: Load, number: int, *, anew: bool = False) -> Array:
+    """Have a load put on, until the forces say that it is; return those at rest, (n,) [N].
+
+    Anew, if a bench may have forgotten it: its method is called again, but a person is asked only
+    if the forces do not show that the load is still on.
+    """
+    run.taker.rest()
+    bench: object = run.taker.bench
+    sums, layout, said = run.rest_sums, run.taker.bench.layout, ""
+    if load.key not in sums and journal_path(run.folder, load, number).exists():
+        with closing(Journal(run.folder, load, number, layout.n)) as journal:
+            rows = journal.rows()
+        columns = (rows[name] for name in ("force", "shape", "sign", "valid"))
+        if (before := mean_sum(layout, *columns)) is not None:
+            sums[load.key] = before
+    rest = Shape(load, number, 0, 1, np.zeros(layout.n))
+    ask = not anew or run.operator is bench
+    for _ in range(MAX_REQUESTS):
+        if ask:
+            with run.taker.interruption.at_once():
+                run.operator.put_on(load)
+        reading, fault = run.taker.take(rest)
+        if reading is None or fault:
+            raise BenchFault(f"no sound reading at rest: {fault}", remedy="see to the bench")
+        total = sum_at_rest(layout, reading.force)
+        error = sum_error(layout, reading, run.plan.samples)
+        on, why = judge(run.mirror.weight, run.plan.loads, load, sums, total, error)
+        run.taker.log.note("load", load=load.name, on=on, total=total, why=why)
+        said = f"'{load.name}' is {'not ' if on is False else ''}on: {why}"
+        run.taker.onlooker.say(said)
+        if on or (ask and on is None):
+            sums[load.key] = total
+            run.taker.guard.check_room(run.plan, run.mirror, load, reading.force)
+            return reading.force
+        ask = True
+    raise BenchFault(
+        said,
+        remedy="put it on as the plan says; if it is on, see that Force is the whole commanded"
+        " force, positive along +z (docs/hardware.md)",
+    )
+
+
+def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
+    """Take what is missing of a cycle, and write its file."""
+    planned = list(product(range(1, len(run.shapes) + 1), (1, -1)))
+    with closing(Journal(run.folder, load, number, run.taker.bench.layout.n)) as journal:
+        journal.check_order(planned)
+        if journal.count or journal.dropped:
+            run.taker.log.note(
+                "resume", load=load.name, cycle=number, kept=journal.count, cut=journal.dropped
+            )
+        if journal.count:
+            done = run.taker.progress.done + journal.count
+            run.taker.progress = replace(run.taker.progress, done=done)
+            run.clock.go_on_after(int(journal.rows()["instant"][-1]))
+        twin: Array | None = None
+        if journal.count % 2:  # as its + twin the last one on record counts, which was valid
+            twin = np.array(journal.rows()["force"][-1])
+        for shape_number, sign in planned[journal.count :]:
+            # The mirror answers in proportion: what + takes beyond rest, - takes short of it.
+            forecast = None if twin is None or sign > 0 else 2 * rest_force - twin
+            position = sign * run.shapes[shape_number - 1]
+            wanted = Shape(load, number, shape_number, sign, position)
+            twin = _take_shape(run, journal, wanted, forecast)
+        cycle = journal.cycle(run.mirror, run.layout, run.taker.bench)
+        path = run.folder / cycle_name(load, number)
+        write_cycle(cycle, path)
+        to_disk(run.folder)  # from here on the cycle is safe
+        run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
+        del cycle  # its rows are mapped from the journal, which Windows would not remove
+    remove_journal(run.folder, load, number)
+
+
+def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
+    """Take one shape into the journal; return its forces [N] where they are valid."""
+    taker = run.taker
+    try:
+        taker.interruption.check()
+        start = time.monotonic()
+        reading, fault = taker.take(shape, forecast, lambda why: _put_on_anew(run, shape, why))
+    except Interrupted:
+        raise Interrupted(f"stopped as asked, before {shape_name(shape)}") from None
+    sound = None if fault else reading
+    instant = run.clock.instant(sound.time if sound else None)
+    noise = force_noise(taker.bench.layout, reading)
+    journal.append(instant, shape, not fault, reading, noise)
+    taker.progress = taker.progress.with_taken(shape, not fault, time.monotonic() - start)
+    taker.onlooker.progress(taker.progress)
+    in_a_row, at_end = taker.progress.in_a_row, (shape.number, shape.sign) == (len(run.shapes), -1)
+    if in_a_row == MAX_INVALID_IN_A_ROW or (at_end and in_a_row >= MAX_INVALID_AT_END):
+        raise BenchFault(
+            f"{in_a_row} shapes in a row gave no sound reading, the last {shape_name(shape)}:"
+            f" {fault}",
+            remedy="see to the bench",
+        )
+    return sound.force if sound else None
+
+
+def _put_on_anew(run: Run, shape: Shape, why: str) -> None:
+    """Have the load of a shape put on again, as after a server was started anew."""
+    load = shape.load
+    run.taker.log.note("load again", shape, why=why)
+    run.taker.onlooker.say(
+        f"the bench refuses a shape ({why}): it may have lost its load; '{load.name}' is put on"
+        " again"
+    )
+    _put_on(run, load, shape.cycle, anew=True)

@@ -1,25 +1,27 @@
-"""A campaign's folder: one plan for good, and what is complete already."""
+"""A campaign's folder: for one run alone, one plan for good, and what is complete already."""
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import hashlib
 import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+from filelock import FileLock, Timeout
 
-from truenewton.acquisition.clock import instant_of
-from truenewton.acquisition.drift import with_turns
-from truenewton.acquisition.journal import remove_journal
-from truenewton.acquisition.load_check import mean_sum
+from truenewton.acquisition.checks import mean_sum
+from truenewton.acquisition.journal import instant_of, remove_journal
+from truenewton.acquisition.load_order import with_turns
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.arrays import Array
-from truenewton.errors import CampaignMismatch, OutputExists, UnreadableFile
+from truenewton.errors import CampaignMismatch, OutputExists, OutputFailed, UnreadableFile
 from truenewton.files.fits import read_fits
 from truenewton.files.opening import refuse_odd
 from truenewton.files.outputs import file_beside, in_one_line, to_disk
@@ -29,26 +31,41 @@ from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
-PLAN, SHAPES = "plan.toml", ".shapes.npy"
+PLAN, SHAPES, LOCK = "plan.toml", ".shapes.npy", ".lock"
 OF_SHAPES = f"# {SHAPES}: "  # before their SHA256 in the plan of a folder
 SHOWN = 8  # lines of a difference
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What a run needs to know of a cycle that is complete.
+    """What a run needs to know of a cycle that is complete."""
 
-    Attributes
-    ----------
-    end
-        Its last instant [us since 1970, UTC].
-    total
-        Mean over its shapes of the sum of the forces [N]: the elastic ones cancel; None where no
-        shape is valid with both signs.
+    end: int  # its last instant [us since 1970, UTC]
+    total: float | None  # of the forces at rest [N], see `mean_sum`
+
+
+@contextlib.contextmanager
+def locked(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """Make a campaign's folder if it does not exist, and keep it for this run alone.
+
+    The lock is the system's: it goes with the process that holds it, however that ends.
     """
-
-    end: int
-    total: float | None
+    folder = Path(folder)
+    lock = FileLock(folder / LOCK)
+    with in_one_line(folder):
+        folder.mkdir(exist_ok=True)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise OutputFailed(
+                "another run writes here",
+                remedy="let it end first; the newest run-*.jsonl names its host and process",
+                path=folder,
+            ) from None
+    try:
+        yield folder
+    finally:
+        lock.release()
 
 
 def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str], shapes: str = "") -> str:
@@ -70,15 +87,7 @@ def begin_or_resume(
 
     Where the plan leaves its turns open, the first run chooses them for good. The shapes are
     (shapes, n) displacements [m], and never made twice: modes of one stiffness may come out turned
-    on another machine.
-
-    Raises
-    ------
-    CampaignMismatch
-        The folder was begun with another plan.
-    OutputExists
-        It holds a campaign that no plan was kept of.
-    UnreadableFile, OutputFailed
+    on another machine. A folder that was begun with another plan is a `CampaignMismatch`.
     """
     half_written = tuple(f".{name}." for name in (PLAN, SHAPES, *cycle_names(plan)))
     with in_one_line(folder):  # by a run that was killed
@@ -112,12 +121,7 @@ def _with_turns_begun(plan: CampaignPlan, begun: CampaignPlan) -> CampaignPlan:
 def refuse_other_plan(
     folder: str | os.PathLike[str], plan: CampaignPlan, beside: str | os.PathLike[str]
 ) -> None:
-    """Refuse a plan that is not the one a folder was begun with, and show the difference.
-
-    Raises
-    ------
-    CampaignMismatch, UnreadableFile, FormatError, LimitExceeded
-    """
+    """Refuse a plan that is not the one a folder was begun with, and show the difference."""
     path = Path(folder) / PLAN
     begun_plan = read_plan(path)
     plan_begun = toml_text(begun_plan)  # as this version writes it, defaults included
@@ -142,13 +146,7 @@ def _notes(path: Path) -> list[str]:
 
 
 def _read_shapes(folder: Path, n: int) -> Array:
-    """Return the (shapes, n) displacements with which a campaign was begun [m].
-
-    Raises
-    ------
-    UnreadableFile
-        The file is damaged, or holds others.
-    """
+    """Return the (shapes, n) displacements with which a campaign was begun [m]."""
     path = folder / SHAPES
     try:
         refuse_odd(path)
@@ -170,17 +168,12 @@ def _read_shapes(folder: Path, n: int) -> Array:
 
 
 def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:
-    """Tell whether a folder that was begun with a plan holds all its cycles."""
+    """Return whether a folder that was begun with a plan holds all its cycles."""
     return all((Path(folder) / name).exists() for name in (PLAN, *cycle_names(plan)))
 
 
 def invalid_rows(folder: str | os.PathLike[str], plan: CampaignPlan) -> dict[str, tuple[int, int]]:
-    """Return how many rows of each complete cycle file are not valid, and how many it has.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return how many rows of each complete cycle file are not valid, and how many it has."""
     valid = {name: cycle_from(read_fits(Path(folder) / name)).valid for name in cycle_names(plan)}
     return {name: (int((~each).sum()), each.size) for name, each in valid.items()}
 
@@ -195,14 +188,8 @@ def finished_cycles(
 ) -> dict[tuple[str, int], Finished]:
     """Return what is complete already, by load and cycle; every file is read and verified.
 
-    A journal that stands beside its cycle's file is removed.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-        A file is damaged.
-    CampaignMismatch
-        It is of another campaign.
+    A journal that stands beside its cycle's file is removed. A file of another campaign is a
+    `CampaignMismatch`.
     """
     complete = {}
     for load, number in product(plan.loads, range(1, plan.cycles + 1)):

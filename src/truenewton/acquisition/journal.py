@@ -1,12 +1,18 @@
-"""The shapes of the cycle under way, one record each, on the disk before the next is commanded.
+"""What a run writes: its log, and the shapes of the cycle under way with times that only grow.
 
+Each shape is one record of the journal, on the disk before the next is commanded.
 A line says which cycle; then records of one size follow, each closed by its CRC-32. A stop tears
 at most the last of them, which is cut off when the journal is opened again.
 """
 
 from __future__ import annotations
 
+import contextlib
+import datetime
+import json
 import os
+import re
+import time
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.acquisition.clock import moment
+from truenewton.arrays import jsonable
 from truenewton.bench.protocol import Bench, Reading, Shape, gradients_of
-from truenewton.errors import BenchFault, FormatError
+from truenewton.errors import BenchFault, FormatError, OutputFailed
 from truenewton.files.opening import refuse_odd
 from truenewton.files.outputs import in_one_line, to_disk
 from truenewton.mirrors.known import Mirror
@@ -26,7 +32,55 @@ from truenewton.records.file import cycle_name
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, LEAST_NOISE, Load
 
-VERSION = 1
+EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+MICROSECOND = datetime.timedelta(microseconds=1)
+SHORTEST_STEP = 1000  # us, between two readings whose times cannot both be right
+LONGEST_PAUSE = 10**13  # us; a clock that leaves four months between two readings was set
+JOURNAL_VERSION = 1
+
+
+class SteadyClock:
+    """Turns times of readings into instants, each later than the one before.
+
+    A clock that was set, or begins anew with each run as that of a simulated bench does, counts on
+    from the last instant of the campaign [us since 1970, UTC].
+    """
+
+    def __init__(self, last: int | None = None) -> None:
+        self._last, self._offset = last, 0
+
+    def go_on_after(self, instant: int) -> None:
+        """Let what follows be later than an instant [us since 1970, UTC] too."""
+        self._last = instant if self._last is None else max(self._last, instant)
+
+    def instant(self, when: datetime.datetime | None) -> int:
+        """Return the instant of a reading [us since 1970, UTC].
+
+        A time without zone is UTC; None, where a reading has no time to be trusted, is just after
+        the last instant.
+        """
+        last = self._last
+        if when is not None:
+            instant = instant_of(when) + self._offset
+            if last is not None and not 0 < instant - last <= LONGEST_PAUSE:
+                self._offset += last + SHORTEST_STEP - instant
+                instant = last + SHORTEST_STEP
+        elif last is not None:
+            instant = last + SHORTEST_STEP
+        else:
+            instant = instant_of(datetime.datetime.now(datetime.UTC))
+        self._last = instant
+        return instant
+
+
+def moment(instant: int) -> datetime.datetime:
+    """Return an instant as a date, UTC."""
+    return EPOCH + instant * MICROSECOND
+
+
+def instant_of(date: datetime.datetime) -> int:
+    """Return a date as an instant [us since 1970, UTC]; one without zone is UTC."""
+    return ((date if date.tzinfo else date.replace(tzinfo=datetime.UTC)) - EPOCH) // MICROSECOND
 
 
 def record_type(n: int) -> np.dtype[np.void]:
@@ -58,22 +112,15 @@ def remove_journal(folder: Path, load: Load, number: int) -> None:
 class Journal:
     """The record of one cycle under way, of n actuators, in the folder of its campaign.
 
-    Attributes
-    ----------
-    count, dropped
-        Records that it holds, and bytes that were cut off when it was opened.
-
-    Raises
-    ------
-    FormatError
-        What stands there is no journal of this cycle.
-    OutputFailed
+    It holds `count` records; `dropped` bytes were cut off when it was opened.
     """
 
     def __init__(self, folder: Path, load: Load, number: int, n: int) -> None:
         self.path = journal_path(folder, load, number)
         self.load, self.number, self.form = load, number, record_type(n)
-        self._head = f"truenewton journal {VERSION}: {load.key!r}, cycle {number}, {n}\n".encode()
+        self._head = (
+            f"truenewton journal {JOURNAL_VERSION}: {load.key!r}, cycle {number}, {n}\n".encode()
+        )
         if self.path.exists():
             refuse_odd(self.path)
         with in_one_line(self.path):
@@ -111,12 +158,7 @@ class Journal:
     def append(
         self, instant: int, shape: Shape, valid: bool, reading: Reading | None, noise: float
     ) -> None:
-        """Add a shape; it is on the disk when this returns. Without a reading it holds NaN.
-
-        Raises
-        ------
-        OutputFailed
-        """
+        """Add a shape; it is on the disk when this returns. Without a reading it holds NaN."""
         record = np.zeros(1, dtype=self.form)
         record["instant"], record["valid"], record["noise"] = instant, valid, noise
         record["shape"], record["sign"] = shape.number, shape.sign
@@ -139,12 +181,7 @@ class Journal:
             return np.memmap(self.path, self.form, "r", offset=offset, shape=(self.count,))
 
     def check_order(self, planned: Sequence[tuple[int, int]]) -> None:
-        """Refuse records that are not the first of the shapes and signs planned.
-
-        Raises
-        ------
-        FormatError
-        """
+        """Refuse records that are not the first of the shapes and signs planned."""
         held = self.rows()[["shape", "sign"]].tolist()
         if held != planned[: len(held)]:
             raise FormatError(
@@ -154,12 +191,7 @@ class Journal:
     def cycle(self, mirror: Mirror, layout: Layout, bench: Bench) -> Cycle:
         """Return the cycle that the records make, taken of a mirror on a bench.
 
-        The layout is as files name and place the actuators.
-
-        Raises
-        ------
-        BenchFault
-            None of them is valid.
+        The layout is as files name and place the actuators. No valid record is a `BenchFault`.
         """
         rows = self.rows()
         valid = rows["valid"].astype(bool)
@@ -196,3 +228,39 @@ class Journal:
 
 def _whole(record: memoryview) -> bool:
     return zlib.crc32(record[:-4]) == int.from_bytes(record[-4:], "little")
+
+
+class RunLog:
+    """Writes events to a new file run-001.jsonl, run-002.jsonl, ... of a campaign's folder."""
+
+    def __init__(self, folder: Path) -> None:
+        with in_one_line(folder):
+            numbers = [
+                int(name[1])
+                for path in folder.iterdir()
+                if (name := re.fullmatch(r"run-(\d+)\.jsonl", path.name))
+            ]
+            self.path = folder / f"run-{max(numbers, default=0) + 1:03d}.jsonl"
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
+            self._handle = os.open(self.path, flags, 0o666)
+        self._start = time.monotonic()
+
+    def note(self, event: str, of: Shape | None = None, **values: Any) -> None:
+        """Write one line, of a shape or not."""
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+        elapsed = round(time.monotonic() - self._start, 4)
+        line: dict[str, Any] = {"time": now, "elapsed": elapsed, "event": event}
+        if of is not None:
+            line |= {"load": of.load.name, "cycle": of.cycle, "shape": of.number, "sign": of.sign}
+        text = json.dumps(jsonable(line | values))
+        with in_one_line(self.path):
+            os.write(self._handle, text.encode() + b"\n")
+
+    def last_words(self, event: str, **values: Any) -> None:
+        """Write one line if that can be done: on the way out nothing may stand in the way."""
+        with contextlib.suppress(OutputFailed):
+            self.note(event, **values)
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._handle)

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from truenewton.bench.choice import KINDS, BenchChoice, foreign_keys
-from truenewton.bench.protocol import MOST_SAMPLES
+from truenewton.bench.protocol import BENCH_KINDS, MAX_SAMPLES, BenchChoice, foreign_keys
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from, segment_from, whole_mirror_from
@@ -22,16 +21,16 @@ from truenewton.rounding import numbered
 from truenewton.statics.layout import MOST_ACTUATORS, Layout
 from truenewton.statics.load import Load, check_load
 
-MOST_CYCLES, MOST_TURNS = 999, 3
-LEAST, MOST = 1e-12, 1e9  # of any number of a plan: squares of both stay numbers
+MAX_CYCLES, MAX_TURNS = 999, 3
+MIN_POSITIVE, MAX_NUMBER = 1e-12, 1e9  # of any number of a plan: squares of both stay numbers
 
 
 def _positive(unit: str) -> Quantity:
-    return Quantity(unit, LEAST, MOST)
+    return Quantity(unit, MIN_POSITIVE, MAX_NUMBER)
 
 
 def _not_negative(unit: str) -> Quantity:
-    return Quantity(unit, 0.0, MOST)
+    return Quantity(unit, 0.0, MAX_NUMBER)
 
 
 def _count(low: int, high: int) -> Quantity:
@@ -76,7 +75,7 @@ class PlannedShapes:
 
 @dataclass(frozen=True)
 class MirrorLimits:
-    """What the mirror may bear; checked before each command and after each reading.
+    """Limits of the mirror; checked before each command and after each reading.
 
     Attributes
     ----------
@@ -100,7 +99,7 @@ class MirrorLimits:
 
     QUANTITIES: ClassVar = {
         "force": _positive("N"), "saturation": _positive("N"), "displacement": _positive("m"),
-        "gap": _not_negative("m"), "temperature": Quantity("deg_C", -MOST, MOST),
+        "gap": _not_negative("m"), "temperature": Quantity("deg_C", -MAX_NUMBER, MAX_NUMBER),
     }  # fmt: skip
 
     force: float = 0.6
@@ -212,8 +211,8 @@ class CampaignPlan:
     """
 
     QUANTITIES: ClassVar = {
-        "cycles": _count(1, MOST_CYCLES), "samples": _count(1, MOST_SAMPLES),
-        "turns": _count(0, MOST_TURNS), "segment": _count(0, MOST_ACTUATORS),
+        "cycles": _count(1, MAX_CYCLES), "samples": _count(1, MAX_SAMPLES),
+        "turns": _count(0, MAX_TURNS), "segment": _count(0, MOST_ACTUATORS),
         "settling": _not_negative("s"), "pause": _not_negative("s"), "force_noise": _positive("N"),
     }  # fmt: skip
 
@@ -240,8 +239,8 @@ class CampaignPlan:
         shapes, limits, bench = self.shapes, self.limits, self.bench
         if not limits.temperature[0] < limits.temperature[1]:
             raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
-        if bench.kind not in KINDS:
-            raise _wrong("bench.kind", bench.kind, f"choose {', '.join(KINDS)}")
+        if bench.kind not in BENCH_KINDS:
+            raise _wrong("bench.kind", bench.kind, f"choose {', '.join(BENCH_KINDS)}")
         for name in foreign_keys(bench):
             remedy = f"take it out: a bench of kind '{bench.kind}' does not use it"
             raise _wrong(f"bench.{name}", getattr(bench, name), remedy)
@@ -258,7 +257,7 @@ class CampaignPlan:
 
 
 def _check_loads(loads: Sequence[Load]) -> None:
-    """Refuse loads that cannot be, and those that could not be told apart by name or file."""
+    """Refuse loads that cannot be, and those with the same name or file."""
     files: dict[str, Load] = {}
     for load in loads:
         try:
@@ -320,34 +319,19 @@ def template() -> str:
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:
-    """Return the mirror of a plan, or its segment; a file stands relative to the plan's folder.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the mirror of a plan, or its segment; a file stands relative to the plan's folder."""
     name = _mirror_of(plan, folder)
     return segment_from(name, plan.segment)[0] if plan.segment else mirror_from(name)
 
 
 def recorded_layout(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Layout:
-    """Return the actuators as cycle files name and place them: those of a segment as in the whole.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the actuators as in cycle files, which place those of a segment as in the whole."""
     name = _mirror_of(plan, folder)
     return segment_from(name, plan.segment)[1] if plan.segment else mirror_from(name).layout
 
 
 def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> dict[str, Mirror]:
-    """Return the mirror of a plan, or the segments of it that differ; by how to call each.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the mirror of a plan, or the segments of it that differ; by how to call each."""
     if plan.segment:
         one = planned_mirror(plan, folder)
         return {one.name: one}

@@ -45,10 +45,6 @@ def shapes_and_forces(
         that gives the shapes, else by the model over `expected_alpha`.
     given
         Whether a file gives the shapes as they stand, whatever stroke and force say.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
     """
     on, path = mirror.layout.enabled, Path(folder) / plan.shapes.source
     file = None if plan.shapes.source == "modes" else read_fits(path)

@@ -1,45 +1,146 @@
-"""Taking one shape: limits before and after, and again where the reading is not sound."""
+"""Taking one shape: limits before and after, and again if the reading is not sound.
+
+An onlooker is shown how it goes, and Ctrl-C ends the run between two shapes.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from types import FrameType
+from typing import Any, Protocol
 
 import numpy as np
 
-from truenewton.acquisition.interruption import Interruption
-from truenewton.acquisition.limits import Guard, shape_name
+from truenewton.acquisition.checks import Guard, shape_name
+from truenewton.acquisition.journal import RunLog
 from truenewton.acquisition.plan import CampaignPlan
-from truenewton.acquisition.progress import Onlooker, Progress
-from truenewton.acquisition.run_log import RunLog
 from truenewton.arrays import Array
 from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape
-from truenewton.errors import BenchFault
+from truenewton.errors import BenchFault, Interrupted
 from truenewton.statics.layout import Layout
 
-ATTEMPTS = 3  # of each shape, before it is marked as not valid
-PATIENCE = 120.0  # with a bench that is gone [s]
-ELSEWHERE = 0.1  # of a shape's largest displacement, by which an actuator may miss it
-SURE = 6.0  # standard deviations of a sample besides
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+POLL_INTERVAL = 0.05  # [s], after which a sleep looks whether to stop
+MAX_ATTEMPTS = 3  # of each shape, before it is marked as not valid
+MAX_ABSENCE = 120.0  # with a bench that is gone [s]
+POSITION_TOLERANCE = 0.1  # of a shape's largest displacement, by which an actuator may miss it
+POSITION_SIGMAS = 6.0  # standard deviations of a sample besides
 FIRST_WAIT, LONGEST_WAIT = 0.5, 10.0  # between two looks at it [s]
-HANGING, HANGS = 30.0, 2  # a fault after so long [s], so many times in a row, ends a run
+HANG_TIME, MAX_HANGS = 30.0, 2  # a fault after so long [s], so many times in a row, ends a run
+
+
+class Interruption:
+    """Notes the first signal, and raises KeyboardInterrupt at the second.
+
+    Signals reach the main thread only; elsewhere nothing is noted.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._at_once = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {each: signal.signal(each, self._note) for each in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for each, handler in self._before.items():
+            signal.signal(each, handler)
+
+    def _note(self, _number: int, _frame: FrameType | None) -> None:
+        if self.asked or self._at_once:
+            raise KeyboardInterrupt
+        self.asked = True
+
+    def check(self) -> None:
+        """Stop here if someone asked."""
+        if self.asked:
+            raise Interrupted("stopped as asked")
+
+    @contextlib.contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Let one signal do, where no shape is under way but somebody is waited for."""
+        self._at_once = True
+        try:
+            yield
+        except (KeyboardInterrupt, EOFError):
+            raise Interrupted("stopped as asked") from None
+        finally:
+            self._at_once = False
+
+    def sleep(self, seconds: float) -> None:
+        """Sleep, but no longer than until someone asks to stop."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self.check()
+            time.sleep(min(left, POLL_INTERVAL))
+        self.check()
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a campaign is. Shapes are counted with each sign."""
+
+    shape: Shape  # the one just taken
+    cycles: int  # under each load
+    shapes: int  # of each cycle, to be taken with both signs
+    done: int  # shapes of the whole campaign
+    total: int
+    smallest_gap: float  # so far in this run [m]
+    largest_force: float = 0.0  # [N]
+    taken: int = 0  # shapes of this run
+    seconds: float = 0.0  # that they took; changing loads is not counted
+    invalid: int = 0  # shapes of this run that are not valid
+    in_a_row: int = 0  # of the last ones
+
+    @property
+    def seconds_left(self) -> float:
+        """At the pace of this run [s]."""
+        return self.seconds / self.taken * (self.total - self.done)
+
+    def with_taken(self, shape: Shape, valid: bool, seconds: float) -> Progress:
+        """Return how far it is with one shape more, which took so long [s]."""
+        return replace(
+            self,
+            shape=shape,
+            done=self.done + 1,
+            taken=self.taken + 1,
+            seconds=self.seconds + seconds,
+            invalid=self.invalid + (not valid),
+            in_a_row=0 if valid else self.in_a_row + 1,
+        )
+
+
+class Onlooker(Protocol):
+    """Who is shown how a campaign goes."""
+
+    def progress(self, now: Progress) -> None:
+        """Show how far it is; called after each shape."""
+
+    def say(self, line: str) -> None:
+        """Show one line: a load that is on, a reading that was not sound, a bench that is gone."""
+
+
+class SilentOnlooker:
+    """An onlooker who shows nothing."""
+
+    def progress(self, now: Progress) -> None:
+        """Show nothing."""
+
+    def say(self, line: str) -> None:
+        """Show nothing."""
 
 
 @dataclass(eq=False)
 class Taker:
-    """Takes shapes on a bench, and remembers what the next reading is compared with.
-
-    Attributes
-    ----------
-    bench, plan, log, onlooker, interruption
-        Whom it commands, what says how, who hears of it, and whether someone asked to stop.
-    progress
-        How far the campaign is.
-    guard
-        Over the limits of the plan.
-    """
+    """Takes shapes on a bench, and remembers what the next reading is compared with."""
 
     bench: Bench
     plan: CampaignPlan
@@ -61,29 +162,15 @@ class Taker:
         forecast: Array | None = None,
         refused: Callable[[str], None] | None = None,
     ) -> tuple[Reading | None, str]:
-        """Command a shape, (n,) forces [N] forecast, and read it, a few times if need be.
+        """Command a shape, with (n,) forces [N] forecast, and read it, up to `MAX_ATTEMPTS` times.
 
-        Where a bench refuses the command, `refused` is told why, once, before it is given again.
-
-        Returns
-        -------
-        reading
-            The last one; None where there is none.
-        fault
-            Why it is not valid; empty where it is.
-
-        Raises
-        ------
-        LimitExceeded
-            Before the command, or after the reading, something is beyond its limit.
-        BenchFault
-            The bench takes no commands, is gone and does not come back, or hangs.
-        Interrupted
-            Someone asked to stop while the bench was gone.
+        Return the last reading, if there is one, and why it is not valid, or an empty text. If a
+        bench refuses the command, `refused` is called with the reason, once, before it is given
+        again. A bench that is gone and does not come back, or hangs, is a `BenchFault`.
         """
         self.guard.check_command(shape, forecast)
         reading, fault = None, ""
-        for attempt in range(1, ATTEMPTS + 1):
+        for attempt in range(1, MAX_ATTEMPTS + 1):
             self._await_bench()
             begun, commanded = time.monotonic(), False
             try:
@@ -101,44 +188,39 @@ class Taker:
                     self._sound = shape, reading
                     self._rest = self._rest if shape.number else reading
                     break
-            self.log.note("not sound", **shape_fields(shape), attempt=attempt, fault=fault)
-            self.onlooker.say(f"{shape_name(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
-            if refused is not None and not commanded and attempt < ATTEMPTS:
+            self.log.note("not sound", shape, attempt=attempt, fault=fault)
+            self.onlooker.say(f"{shape_name(shape)}, attempt {attempt} of {MAX_ATTEMPTS}: {fault}")
+            if refused is not None and not commanded and attempt < MAX_ATTEMPTS:
                 refused(fault)
                 refused = None
         return reading, fault
 
     def rest(self) -> None:
-        """Bring the mirror to rest; wait for a bench that is gone.
-
-        Raises
-        ------
-        BenchFault
-        """
-        for attempt in range(1, ATTEMPTS + 1):
+        """Bring the mirror to rest; wait for a bench that is gone."""
+        for attempt in range(1, MAX_ATTEMPTS + 1):
             self._await_bench()
             try:
                 self.bench.rest()
             except BenchFault as error:
                 self.log.note("not at rest", attempt=attempt, fault=error.fault)
-                if attempt == ATTEMPTS:
+                if attempt == MAX_ATTEMPTS:
                     raise
             else:
                 return
 
     def _end_where_it_hangs(self, seconds: float, fault: str) -> None:
         """End a run on a bench that takes long for each fault, as one that does not answer."""
-        self._hung = self._hung + 1 if seconds > HANGING else 0
-        if self._hung == HANGS:
+        self._hung = self._hung + 1 if seconds > HANG_TIME else 0
+        if self._hung == MAX_HANGS:
             raise BenchFault(
-                f"the bench hangs: {HANGS} attempts in a row failed, the last after {seconds:.0f}"
-                f" s: {fault}",
+                f"the bench hangs: {MAX_HANGS} attempts in a row failed, the last after"
+                f" {seconds:.0f} s: {fault}",
                 remedy="see to it",
             )
 
     def _command(self, shape: Shape) -> None:
         stroke = float(np.abs(shape.position).max())
-        self.log.note("command", **shape_fields(shape), stroke=stroke)
+        self.log.note("command", shape, stroke=stroke)
         self.bench.command(shape)
 
     def _read(self, shape: Shape) -> Reading:
@@ -164,7 +246,7 @@ class Taker:
         )
         self.log.note(
             "reading",
-            **shape_fields(shape),
+            shape,
             largest_force=force,
             smallest_gap=gap,
             samples=plan.samples,
@@ -203,7 +285,11 @@ class Taker:
             return ""
         on, stroke = self.bench.layout.enabled, float(np.abs(shape.position).max())
         off = np.abs(reading.position - self._rest.position - shape.position)[on]
-        beyond = off - ELSEWHERE * stroke - SURE * np.nan_to_num(reading.position_scatter[on])
+        beyond = (
+            off
+            - POSITION_TOLERANCE * stroke
+            - POSITION_SIGMAS * np.nan_to_num(reading.position_scatter[on])
+        )
         worst = int(beyond.argmax())
         if beyond[worst] <= 0:
             return ""
@@ -237,9 +323,9 @@ class Taker:
                         f"the bench takes no commands: {status.message}", remedy="see to it"
                     )
                 gone = status.message
-            if time.monotonic() - start > PATIENCE:
+            if time.monotonic() - start > MAX_ABSENCE:
                 raise BenchFault(
-                    f"the bench did not come back within {PATIENCE:g} s ({gone})",
+                    f"the bench did not come back within {MAX_ABSENCE:g} s ({gone})",
                     remedy="see to it",
                 )
             self.log.note("gone", fault=gone)
@@ -256,16 +342,6 @@ def _words(error: BenchFault) -> str:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def shape_fields(shape: Shape) -> dict[str, Any]:
-    """Return which shape it is, for the log."""
-    return {
-        "load": shape.load.name,
-        "cycle": shape.cycle,
-        "shape": shape.number,
-        "sign": shape.sign,
-    }
 
 
 def force_noise(layout: Layout, reading: Reading | None) -> float:

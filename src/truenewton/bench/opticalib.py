@@ -33,8 +33,8 @@ from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror
 
 REST_SAMPLES = 64  # of the position at rest, from which displacements count
-FEWEST_TO_TELL = 32  # samples, to see from them that the mirror still moves
-DRIFT = 6.0  # of the mean in standard errors, beyond which it does
+MIN_DRIFT_SAMPLES = 32  # samples, to see from them that the mirror still moves
+DRIFT_SIGMAS = 6.0  # of the mean in standard errors, beyond which it does
 
 
 class DeformableMirror(Protocol):
@@ -153,6 +153,8 @@ class OpticalibMirror:
         if self._last is None or not np.array_equal(both[-1], self._last):
             self._counter += 1
         self._last = both[-1]
+        with self._faults("get_temperature"):
+            temperature = float(getattr(self._device, "get_temperature", lambda: np.nan)())
         batches = np.array_split(force, BATCHES) if samples >= BATCHES else []
         return Reading(
             time=now,
@@ -160,7 +162,7 @@ class OpticalibMirror:
             position=position.mean(axis=0),
             force_scatter=force.std(axis=0, ddof=min(1, samples - 1)),
             position_scatter=position.std(axis=0, ddof=min(1, samples - 1)),
-            temperature=self._temperature(),
+            temperature=temperature,
             counter=self._counter,
             settled=_still(position),
             force_error=error_of_mean(np.array([each.mean(axis=0) for each in batches]))
@@ -186,14 +188,6 @@ class OpticalibMirror:
     def _settle(self) -> None:
         time.sleep(max(0.0, self._since + self._settling - time.monotonic()))
 
-    def _temperature(self) -> float:
-        """Return what the device says of it [deg C]; NaN where it says nothing."""
-        get = getattr(self._device, "get_temperature", None)
-        if get is None:
-            return float("nan")
-        with self._faults("get_temperature"):
-            return float(get())
-
     def _samples(self, get: Callable[[], Any], samples: int) -> Array:
         """Return (samples, ..., n) values of a call."""
         with self._faults("get_shape or get_force"):
@@ -218,35 +212,22 @@ class OpticalibMirror:
 
 
 def _still(position: Array) -> bool:
-    """Tell whether the second half of (samples, n) positions has the mean of the first."""
+    """Return whether the second half of (samples, n) positions has the mean of the first."""
     half = len(position) // 2
-    if len(position) < FEWEST_TO_TELL:
+    if len(position) < MIN_DRIFT_SAMPLES:
         return True
     first, second = position[:half], position[half : 2 * half]
     error = np.sqrt((first.var(axis=0, ddof=1) + second.var(axis=0, ddof=1)) / half)
-    return bool((np.abs(second.mean(axis=0) - first.mean(axis=0)) <= DRIFT * error).all())
+    return bool((np.abs(second.mean(axis=0) - first.mean(axis=0)) <= DRIFT_SIGMAS * error).all())
 
 
 def from_address(
     address: str, mirror: Mirror, folder: str | os.PathLike[str] = "."
 ) -> OpticalibMirror:
-    """Return a bench around the object that `module:object` names.
+    """Return a bench around the object that `module:object` names, or that it makes when called.
 
-    Parameters
-    ----------
-    address
-        Module and name of the object, or of a class or function that makes it without arguments.
-    mirror
-        What it is.
-    folder
-        Where the module may stand beside those that are installed: that of the plan.
-
-    Raises
-    ------
-    UnknownName
-        There is no such module or object.
-    BenchFault
-        It cannot be made, or is no such mirror.
+    The module is installed, or lies in the folder of the plan. A name that does not exist is an
+    `UnknownName`; an object that cannot be made, or is no such mirror, a `BenchFault`.
     """
     module, _, name = address.partition(":")
     sys.path.insert(0, os.fspath(folder))

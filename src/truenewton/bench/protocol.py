@@ -1,20 +1,30 @@
-"""What acquisition asks of a bench: hardware, a server, or a simulation alike."""
+"""What acquisition asks of a bench, hardware or not, and which bench a plan names."""
 
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, fields
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from truenewton.arrays import Array
+from truenewton.quantities import Quantity, convert_quantities
 from truenewton.errors import BenchFault
 from truenewton.files.content import YEARS
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, Load
 
-MOST_SAMPLES = 10**9  # of one reading
+MAX_SAMPLES = 10**9  # of one reading
+BATCHES = 4  # of a record, for the error of its mean
+# What each kind of bench takes from a plan.
+BENCH_KINDS = {
+    "simulated": ("seed", "force_noise", "fidelity"),
+    "opcua": (
+        "address", "user", "password_file", "certificate", "private_key", "server_certificate",
+    ),
+    "opticalib": ("address",),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +66,14 @@ class Reading:
     force_scatter, position_scatter
         (n,) standard deviation of one sample [N], [m].
     temperature
-        [deg C]; NaN where nobody measures it.
+        [deg C]; NaN if it is not measured.
     counter
         Grows with every new reading of the electronics: one that stands still is stale.
     settled
         Whether the mirror had come to rest before the first sample.
     force_error
-        (n,) standard deviation of the mean force [N]; None where nobody knows how far the samples
-        depend on each other. `error_of_mean` finds it from samples.
+        (n,) standard deviation of the mean force [N]; None if it is not known how far the
+        samples depend on each other. `error_of_mean` finds it from samples.
 
     Raises
     ------
@@ -138,9 +148,6 @@ class Status:
     counter: int
 
 
-BATCHES = 4  # of a record
-
-
 def error_of_mean(batch_means: Array) -> Array:
     """Return the (n,) standard deviation of the mean of a record from its batch means.
 
@@ -165,9 +172,9 @@ def check_samples(samples: int) -> None:
     ------
     BenchFault
     """
-    if not 1 <= samples <= MOST_SAMPLES:
+    if not 1 <= samples <= MAX_SAMPLES:
         raise BenchFault(
-            f"a reading of {samples} samples", remedy=f"ask for 1 to {MOST_SAMPLES}", got=samples
+            f"a reading of {samples} samples", remedy=f"ask for 1 to {MAX_SAMPLES}", got=samples
         )
 
 
@@ -207,7 +214,7 @@ class Operator(Protocol):
     """Who lifts the glass and puts the weight on."""
 
     def put_on(self, load: Load) -> None:
-        """Return when the mirror bears this load."""
+        """Return when this load is on the mirror."""
 
 
 @runtime_checkable
@@ -216,7 +223,7 @@ class Graded(Protocol):
 
     @property
     def gradients(self) -> tuple[float | None, float | None]:
-        """COILGRAD [1/m] and BIASGRAD [N/m]; None where nobody knows."""
+        """COILGRAD [1/m] and BIASGRAD [N/m]; None if unknown."""
 
 
 def gradients_of(bench: Bench) -> tuple[float | None, float | None]:
@@ -245,7 +252,50 @@ def gradients_of(bench: Bench) -> tuple[float | None, float | None]:
 
 @runtime_checkable
 class OwnTime(Protocol):
-    """A bench whose time is not ours: nobody need sleep for it."""
+    """A bench with a time of its own: acquisition does not sleep for it."""
 
     def wait(self, seconds: float) -> None:
         """Let so much of its time pass."""
+
+
+@dataclass(frozen=True)
+class BenchChoice:
+    """Which bench takes the campaign.
+
+    Attributes
+    ----------
+    kind
+        'simulated', 'opcua' or 'opticalib'.
+    address
+        URL of an OPC UA server, or `module:object` of a mirror after opticalib.
+    seed, force_noise, fidelity
+        Of the simulated bench.
+    user, password_file, certificate, private_key, server_certificate
+        With which to log on to an OPC UA server.
+    """
+
+    QUANTITIES: ClassVar = {
+        "seed": Quantity("", 0, np.inf, "give zero or more"),
+        "force_noise": Quantity("N", 0.0, 1e9),
+    }
+
+    kind: str = "simulated"
+    address: str = ""
+    seed: int = 1
+    force_noise: float = 1e-4
+    fidelity: str = "static"
+    user: str = ""
+    password_file: str = ""
+    certificate: str = ""
+    private_key: str = ""
+    server_certificate: str = ""
+
+    def __post_init__(self) -> None:
+        convert_quantities(self)
+
+
+def foreign_keys(choice: BenchChoice) -> list[str]:
+    """Return what a choice says beyond the defaults that its kind of bench does not use."""
+    own = ("kind", *BENCH_KINDS[choice.kind])
+    given = [each.name for each in fields(choice) if getattr(choice, each.name) != each.default]
+    return [name for name in given if name not in own]

@@ -36,7 +36,7 @@ def require_known(layout: Layout, ids: Collection[int]) -> None:
 def disabled(data: Campaign | StiffnessMatrix, ids: Sequence[int]) -> Campaign | StiffnessMatrix:
     """Return data in which excluded actuators are disabled, as far as the balance allows.
 
-    Those of a matrix are released (`sifted_matrix.released`). One of a campaign is disabled if its
+    Those of a matrix are released (`matrix.screen.released`). One of a campaign is disabled if its
     FORCE never changes; the force of others is part of the balance, and alpha is fitted to it.
     """
     if not ids:

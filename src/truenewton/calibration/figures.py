@@ -12,8 +12,8 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.estimation.estimate import Scale
-from truenewton.estimation.weights import typical
+from truenewton.estimation.findings.estimate import Scale
+from truenewton.estimation.findings.scale_budget import typical
 from truenewton.figures.maps import (
     ALPHA_LABEL,
     mark_rings,

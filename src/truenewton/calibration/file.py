@@ -9,7 +9,9 @@ import numpy as np
 
 from truenewton.calibration.result import Calibration
 from truenewton.errors import FormatError
-from truenewton.estimation.diagnosis import (
+from truenewton.estimation.findings.catalogue import REPEATED, read_name, read_warning
+from truenewton.estimation.findings.code import Code, Level
+from truenewton.estimation.findings.estimate import (
     Diagnosis,
     ErrorKind,
     ErrorSource,
@@ -17,11 +19,9 @@ from truenewton.estimation.diagnosis import (
     NoiseSource,
     ScaleError,
 )
-from truenewton.estimation.findings.catalogue import REPEATED, read_name, read_warning
-from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding, from_stored
-from truenewton.estimation.matrix_facts import MatrixFacts
-from truenewton.estimation.unknowns import Unknowns
+from truenewton.estimation.matrix.facts import MatrixFacts
+from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y

@@ -19,32 +19,33 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import Seen, calibrate_segments
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
-from truenewton.errors import (
-    Fault,
-    NotConverged,
-    RankDeficient,
-    TrueNewtonError,
-    UnknownName,
-    located,
-)
-from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
-from truenewton.estimation.cycle_errors import CycleErrors
-from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
+from truenewton.estimation import campaign_ml
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import Estimate, with_warnings
 from truenewton.estimation.findings.finding import Finding, distinct
-from truenewton.estimation.identifiability import diagnose
-from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles
+from truenewton.estimation.findings.scale_budget import typical
+from truenewton.estimation.matrix import ml as matrix_ml
+from truenewton.estimation.matrix import modes as matrix_modes
+from truenewton.estimation.matrix.screen import ScreenedMatrix, screen_matrix
+from truenewton.estimation.paper import svd as paper_svd
+from truenewton.estimation.paper.cycle_errors import CycleErrors
+from truenewton.estimation.paper.equations import Unknowns
+from truenewton.estimation.paper.identifiability import diagnose
+from truenewton.estimation.readings.row_readers import RowReader
+from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
-from truenewton.estimation.reciprocity.gate import advising_ml, doubts, failed, instead
-from truenewton.estimation.row_readers import RowReader
-from truenewton.estimation.sifted import Sifted, campaign_moments, sift
-from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
-from truenewton.estimation.structure import FITS
-from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import typical
+from truenewton.estimation.reciprocity.acceptance import advising_ml, doubts, failed, instead
+from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY
+from truenewton.estimation.screening.screen import (
+    ScreenedCampaign,
+    campaign_moments,
+    screen_campaign,
+)
 from truenewton.linalg import threads
 from truenewton.progress import kept_as, tell, telling
 from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.errors import Fault
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -61,69 +62,71 @@ class Known(NamedTuple):
 
 
 class Method(NamedTuple):
-    """A method: of a sifted campaign to its estimate; of a stiffness, with what modes leave."""
+    """A method: of a screened campaign to its estimate; of a stiffness, with what modes leave."""
 
-    of_cycles: Callable[[Sifted, Known], Estimate]
-    of_stiffness: Callable[[SiftedMatrix, Known], tuple[Estimate, Imbalances]]
+    of_cycles: Callable[[ScreenedCampaign, Known], Estimate]
+    of_stiffness: Callable[[ScreenedMatrix, Known], tuple[Estimate, Imbalances]]
 
 
-def _svd_of_cycles(sifted: Sifted, _: Known) -> Estimate:
+def _svd_of_cycles(screened: ScreenedCampaign, _: Known) -> Estimate:
     """Solve the paper's system, of all rows; what the data are worth `ml` says, as for itself."""
-    judged = cycles_ml.find(sifted)
-    campaign = sifted.campaign
-    moments = campaign_moments(campaign) if sifted.rejected else sifted.moments
-    found = cycles_svd.find(campaign, moments)
+    judged = campaign_ml.find(screened)
+    campaign = screened.campaign
+    moments = campaign_moments(campaign) if screened.rejected else screened.moments
+    found = paper_svd.find(campaign, moments)
     effects = tuple(replace(effect, corrected=False) for effect in judged.effects)
     warnings = distinct((*found.diagnosis.warnings, *judged.diagnosis.warnings))
     if judged.rejected:
         warnings += (Finding.of(Code.SVD_USES_ALL_ROWS, count=len(judged.rejected)),)
     diagnosis = replace(found.diagnosis, warnings=warnings)
     fit = judged.goodness  # of `ml`: told where no alpha balances the data
-    goodness = fit if fit is not None and fit.probability < FITS else None
+    goodness = fit if fit is not None and fit.probability < MIN_FIT_PROBABILITY else None
     return replace(found, effects=effects, diagnosis=diagnosis, goodness=goodness)
 
 
 def _by_balance(
-    sifted: SiftedMatrix, method: stiffness_svd.ElasticMethod
+    screened: ScreenedMatrix, method: matrix_modes.ElasticMethod
 ) -> tuple[Estimate, Imbalances]:
     """Return the estimate of a method that balances forces, and how well it does."""
-    return _with_imbalances(sifted, method, stiffness_svd.find(sifted, method))
+    return _with_imbalances(screened, method, matrix_modes.find(screened, method))
 
 
 def _with_imbalances(
-    sifted: SiftedMatrix, method: stiffness_svd.ElasticMethod, estimate: Estimate
+    screened: ScreenedMatrix, method: matrix_modes.ElasticMethod, estimate: Estimate
 ) -> tuple[Estimate, Imbalances]:
     """Return an estimate, which says so where halves give no alpha, and how modes balance."""
     try:
-        return estimate, stiffness_svd.imbalances(sifted, method, estimate.values)
+        return estimate, matrix_modes.imbalances(screened, method, estimate.values)
     except (RankDeficient, NotConverged) as error:
         alone = Finding.of(Code.HALVES_INSUFFICIENT, fault=error.fault, remedy=error.remedy)
         return with_warnings(estimate, (alone,)), ()
 
 
-def _reciprocal(sifted: SiftedMatrix, known: Known) -> tuple[Estimate, Imbalances]:
+def _reciprocal(screened: ScreenedMatrix, known: Known) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity, and what speaks against it."""
-    base = stiffness_svd.find(sifted, stiffness_ml.column_fit)
+    base = matrix_modes.find(screened, matrix_ml.column_fit)
     with advising_ml():
-        estimate, of_modes, against = reciprocity_of_matrix.find(sifted.matrix, base, known.motion)
+        estimate, of_modes, against = reciprocity_of_matrix.find(
+            screened.matrix, base, known.motion
+        )
     return with_warnings(estimate, doubts(against)), of_modes
 
 
-def _where_reciprocity_holds(sifted: SiftedMatrix, known: Known) -> tuple[Estimate, Imbalances]:
+def _where_reciprocity_holds(screened: ScreenedMatrix, known: Known) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity, or that of `ml` with the reason.
 
     That of `ml` comes first, for whoever does not want to wait.
     """
-    base = stiffness_svd.find(sifted, stiffness_ml.column_fit)
+    base = matrix_modes.find(screened, matrix_ml.column_fit)
 
     def of_balance(against: Iterable[Finding]) -> tuple[Estimate, Imbalances]:
         told = with_warnings(base, instead(against))
-        return _with_imbalances(sifted, stiffness_ml.column_fit, told)
+        return _with_imbalances(screened, matrix_ml.column_fit, told)
 
     tell(_in_short(base), keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
     try:
         estimate, of_modes, against = reciprocity_of_matrix.find(
-            sifted.matrix, base, known.motion, where_it_holds=True
+            screened.matrix, base, known.motion, where_it_holds=True
         )
         if not against:
             return estimate, of_modes
@@ -144,19 +147,19 @@ def _in_short(base: Estimate) -> str:
 
 METHODS = {
     "ml": Method(
-        lambda sifted, known: cycles_ml.find(sifted, known.population),
-        lambda sifted, known: _by_balance(
-            sifted, partial(stiffness_ml.column_fit, population=known.population)
+        lambda screened, known: campaign_ml.find(screened, known.population),
+        lambda screened, known: _by_balance(
+            screened, partial(matrix_ml.column_fit, population=known.population)
         ),
     ),
     "svd": Method(
-        _svd_of_cycles, lambda sifted, _: _by_balance(sifted, stiffness_svd.singular_fit)
+        _svd_of_cycles, lambda screened, _: _by_balance(screened, matrix_modes.singular_fit)
     ),
     "reciprocity": Method(
-        lambda sifted, known: reciprocity_of_cycles.find(sifted, known.motion), _reciprocal
+        lambda screened, known: reciprocity_of_campaign.find(screened, known.motion), _reciprocal
     ),
     "auto": Method(
-        lambda sifted, known: reciprocity_of_cycles.find_where_it_holds(sifted, known.motion),
+        lambda screened, known: reciprocity_of_campaign.find_where_it_holds(screened, known.motion),
         _where_reciprocity_holds,
     ),
 }
@@ -249,7 +252,7 @@ def calibrate(
         return calibrate_segments(data, one, motion, 1 if client is not None else processes)
     left = disabled(data, ids)
     if isinstance(left, Campaign):
-        estimate = METHODS[method].of_cycles(sift(left, client), known)
+        estimate = METHODS[method].of_cycles(screen_campaign(left, client), known)
         made = without(calibration_of(left, estimate, client=client), ids)
     else:
         made = _of_matrix(left, method, known, ids)
@@ -263,12 +266,12 @@ def _of_matrix(
     """Calibrate; what is found before the end can be kept as a calibration, too."""
 
     def made_of(found: tuple[Estimate, Imbalances]) -> Calibration:
-        return without(from_stiffness(sifted.matrix, *found), excluded)
+        return without(from_stiffness(screened.matrix, *found), excluded)
 
     try:
         with threads(1), kept_as(made_of):
-            sifted = sift_matrix(matrix)
-            found = METHODS[method].of_stiffness(sifted, known)
+            screened = screen_matrix(matrix)
+            found = METHODS[method].of_stiffness(screened, known)
     except (RankDeficient, NotConverged) as error:
         raise located(error, matrix.source and Path(matrix.source.file).name) from None
     return made_of(found)
@@ -327,17 +330,17 @@ def asked(
     return method, Known(population, motion)
 
 
-def find_alpha(sifted: Sifted, method: str, known: Known) -> Estimate:
-    """Find alpha of a campaign that was sifted, as `calibrate` does; 'ml' reads no row."""
-    return METHODS[method].of_cycles(sifted, known)
+def estimate_alpha(screened: ScreenedCampaign, method: str, known: Known) -> Estimate:
+    """Find alpha of a campaign that was screened, as `calibrate` does; 'ml' reads no row."""
+    return METHODS[method].of_cycles(screened, known)
 
 
-def refusals(error: TrueNewtonError, sifted: Sifted | None) -> tuple[Fault, ...]:
+def refusals(error: TrueNewtonError, screened: ScreenedCampaign | None) -> tuple[Fault, ...]:
     """Return why there is no alpha, first what the error says, then what else is missing."""
     first = Fault(error.fault, error.remedy)
-    if sifted is None or not isinstance(error, RankDeficient):
+    if screened is None or not isinstance(error, RankDeficient):
         return (first,)
-    others = diagnose(sifted.sound, sifted.moments).faults
+    others = diagnose(screened.sound, screened.moments).faults
     return first, *(Fault(x.fault, x.remedy) for x in others if x.fault != error.fault)
 
 

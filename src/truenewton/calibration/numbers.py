@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread, spread_covariance
 from truenewton.calibration.result import Calibration
-from truenewton.estimation import stiffness_svd
-from truenewton.estimation.coherent_imbalance import doubts_of_balance
-from truenewton.estimation.estimate import Estimate, with_warnings
-from truenewton.estimation.matrix_facts import doubts_of, matrix_facts
+from truenewton.estimation.findings.estimate import Estimate, with_warnings
+from truenewton.estimation.matrix import modes as matrix_modes
+from truenewton.estimation.matrix.coherent_imbalance import doubts_of_balance
+from truenewton.estimation.matrix.facts import doubts_of, matrix_facts
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
-Imbalances = tuple[stiffness_svd.Imbalance, ...]
+Imbalances = tuple[matrix_modes.Imbalance, ...]
 
 
 def from_stiffness(
@@ -54,7 +54,7 @@ def from_stiffness(
         weight=float("nan"),
         weight_error=float("nan"),
         temperature=float("nan"),
-        shapes_used=len(stiffness_svd.elastic_modes(matrix)),
+        shapes_used=len(matrix_modes.elastic_modes(matrix)),
         rejected=0,
         invalid=0,
         sources=matrix_source(matrix),
@@ -79,7 +79,7 @@ def matrix_source(matrix: StiffnessMatrix | None) -> tuple[Source, ...]:
     """Return the file of a matrix, its elastic modes for rows; nothing where it has none."""
     if matrix is None or matrix.source is None:
         return ()
-    modes = len(stiffness_svd.elastic_modes(matrix))
+    modes = len(matrix_modes.elastic_modes(matrix))
     return (replace(matrix.source, file=Path(matrix.source.file).name, rows=modes),)
 
 

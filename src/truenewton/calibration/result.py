@@ -11,19 +11,19 @@ import numpy as np
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
-from truenewton.estimation.diagnosis import (
+from truenewton.estimation.findings.estimate import (
     Diagnosis,
     Goodness,
     RejectedRow,
+    Scale,
     ScaleError,
     Sensor,
     UnseenError,
 )
-from truenewton.estimation.estimate import Scale
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.matrix_facts import MatrixFacts
-from truenewton.estimation.stiffness_svd import Imbalance
-from truenewton.estimation.unknowns import Unknowns
+from truenewton.estimation.matrix.facts import MatrixFacts
+from truenewton.estimation.matrix.modes import Imbalance
+from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.format import quantities
 from truenewton.records.source import Source
 from truenewton.rounding import counted, html_table

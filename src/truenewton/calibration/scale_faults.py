@@ -8,13 +8,21 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import ErrorKind
-from truenewton.estimation.estimate import Scale
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import ErrorKind, Scale
 from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.scale_budget import (
+    FROM_READINGS,
+    scale_total,
+    tilt_as_load,
+    typical,
+)
 from truenewton.estimation.findings.thresholds import LIMITS
-from truenewton.estimation.identifiability import ALIKE, NO_LOAD_SEEN, similar_loads
-from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
+from truenewton.estimation.paper.identifiability import (
+    NO_LOAD_SEEN,
+    SIMILAR_LOADS_FRACTION,
+    similar_loads,
+)
 from truenewton.rounding import percent, significant
 from truenewton.statics.arms import effective_weight
 
@@ -108,7 +116,7 @@ def scale_faults(c: Calibration) -> Iterator[Finding]:
     weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
     if c.scale == Scale.WEIGHTS:
         alike = similar_loads(weights_along_axis(c))
-        if alike and typical(c.error, c.alpha) > ALIKE:
+        if alike and typical(c.error, c.alpha) > SIMILAR_LOADS_FRACTION:
             yield alike
         exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
         if exact or weights < NO_ERROR:
@@ -126,7 +134,7 @@ def weights_along_axis(c: Calibration) -> Array:
 
 def scale_limit(c: Calibration) -> Finding | None:
     """Return what limits the common scale and what would help; None where the weights do not."""
-    if not c.scale_errors or c.scale_errors[0].source == READINGS:
+    if not c.scale_errors or c.scale_errors[0].source == FROM_READINGS:
         return None
     total, largest = scale_total(c.scale_errors), c.scale_errors[0]
     share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"

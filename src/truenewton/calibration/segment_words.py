@@ -11,7 +11,7 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import no_alpha
 from truenewton.calibration.words import row, summary_values, verdict_lines
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.weights import typical
+from truenewton.estimation.findings.scale_budget import typical
 from truenewton.rounding import counted, percent, to_digits, with_error
 
 

@@ -12,7 +12,7 @@ from truenewton.calibration.methods import (
     asked,
     calibrate,
     calibration_of,
-    find_alpha,
+    estimate_alpha,
     refusals,
 )
 from truenewton.calibration.segments import Seen, seen_of
@@ -26,11 +26,16 @@ from truenewton.errors import (
     RankDeficient,
     TooManyOutliers,
 )
-from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.identifiability import diagnose
-from truenewton.estimation.sifted import sift
-from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, elastic_count, modal_stiffness
+from truenewton.estimation.findings.estimate import Diagnosis
+from truenewton.estimation.matrix.modes import (
+    MIN_SINGULAR_VALUE,
+    asymmetry,
+    elastic_count,
+    modal_stiffness,
+)
+from truenewton.estimation.paper.identifiability import diagnose
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign
 from truenewton.records.segmented import SegmentedData
@@ -135,13 +140,13 @@ def _survey_campaign(
     campaign: Campaign, method: str, known: Known
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a campaign alone, the first the end of the headline."""
-    sifted, refusal = None, Verdict(Level.NONE)
+    screened, refusal = None, Verdict(Level.NONE)
     try:
-        sifted = sift(campaign)
+        screened = screen_campaign(campaign)
     except TooManyOutliers as error:  # what the files hold is told all the same
         refusal = no_alpha(refusals(error, None))
     shapes = len(np.unique(np.concatenate([c.shape[c.valid] for c in campaign.cycles])))
-    noise, rejected = (sifted.moments.noise, sifted.rejected) if sifted else (np.nan, ())
+    noise, rejected = (screened.moments.noise, screened.rejected) if screened else (np.nan, ())
     loads = []
     for load, weight in zip(campaign.loads, campaign.effective_weights.tolist(), strict=True):
         cycles = [c for c in campaign.cycles if c.load.key == load.key]
@@ -181,14 +186,14 @@ def _survey_campaign(
     if np.isfinite(noise):
         lines.append(row("noise of one reading", f"{1e3 * noise:.3g} mN, from repeated shapes"))
     lines += rejected_lines(campaign, rejected)
-    if sifted is None:
+    if screened is None:
         return values, lines, Diagnosis(), refusal
-    diagnosis = diagnose(sifted.sound, sifted.moments)
+    diagnosis = diagnose(screened.sound, screened.moments)
     try:
-        estimate = find_alpha(sifted, method, known)
+        estimate = estimate_alpha(screened, method, known)
         verdict = calibration_of(campaign, estimate).verdict
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        verdict = no_alpha(refusals(error, sifted))
+        verdict = no_alpha(refusals(error, screened))
     return values, lines, diagnosis, verdict
 
 
@@ -208,7 +213,10 @@ def _survey_stiffness(
     lines = [
         "",
         row("singular values", f"{softest:.3g} .. {stiffest:.3g} N/m, median {median:.3g}"),
-        row("elastic modes", f"{values['used_modes']} stiffer than {SOFTEST:g} of the stiffest"),
+        row(
+            "elastic modes",
+            f"{values['used_modes']} stiffer than {MIN_SINGULAR_VALUE:g} of the stiffest",
+        ),
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
     try:

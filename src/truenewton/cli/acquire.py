@@ -15,7 +15,7 @@ from truenewton.cli.terminal import print_result, say
 from truenewton.errors import BenchFault, printable
 
 if TYPE_CHECKING:
-    from truenewton.acquisition.progress import Progress
+    from truenewton.acquisition.taker import Progress
     from truenewton.statics.load import Load
 
 MOST_FILES = 5  # named in one line
@@ -32,8 +32,7 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
-    from truenewton.acquisition.acquire import acquire
-    from truenewton.acquisition.benches import chosen_bench, simulated_bench
+    from truenewton.acquisition.acquire import acquire, chosen_bench, simulated_bench
     from truenewton.acquisition.folder import invalid_rows, is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
     from truenewton.bench.protocol import Operator

@@ -12,19 +12,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.cycles_ml import patterns_near_noise
-from truenewton.estimation.diagnosis import Diagnosis, ScaleError
+from truenewton.estimation.campaign_ml import patterns_near_noise, tolerable, with_patterns_held
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import Diagnosis, ScaleError
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.identifiability import in_words, load_fault, refuse, structural_faults
-from truenewton.estimation.likelihood import expected
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.findings.scale_budget import scale_errors, typical
+from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.likelihood.objective import expected
+from truenewton.estimation.paper.identifiability import (
+    describe_pattern,
+    load_fault,
+    refuse,
+    structural_faults,
+)
 from truenewton.estimation.problem import Problem, problem_of
-from truenewton.estimation.shape_sums import ShapeSums
-from truenewton.estimation.undetermined import tolerable, with_patterns_held
-from truenewton.estimation.weights import scale_errors, typical
+from truenewton.estimation.readings.moments import Moments, ShapeSums
+from truenewton.estimation.screening.noise import reading_noise
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.statics.layout import Layout
@@ -166,7 +169,7 @@ def stated(known: Known, minimum: Minimum, undetermined: int = 0) -> Prediction:
         diagnosis=Diagnosis(
             undetermined=undetermined,
             warnings=tuple(warning for warning in warnings if warning),
-            weakest=in_words(vector, layout),
+            weakest=describe_pattern(vector, layout),
             weakest_share=value / float(np.trace(reading_covariance)),
         ),
     )

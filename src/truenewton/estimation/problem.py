@@ -11,22 +11,22 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import NoiseSource
-from truenewton.estimation.imbalance import (
+from truenewton.estimation.findings.estimate import NoiseSource
+from truenewton.estimation.findings.scale_budget import WeightErrors, weight_errors
+from truenewton.estimation.likelihood.minimum import DataSet, Minimum, Prior
+from truenewton.estimation.likelihood.objective import minimise, start_values
+from truenewton.estimation.matrix.ml import likeliest, mode_data
+from truenewton.estimation.matrix.modes import elastic_modes
+from truenewton.estimation.paper.equations import (
     MEDIAN_CHI2,
+    Unknowns,
     imbalance_covariance,
     squared_distances,
     standing_out,
 )
-from truenewton.estimation.likelihood import minimise, start_values
-from truenewton.estimation.minimum import DataSet, Minimum, Prior
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import Noise
-from truenewton.estimation.sifted import Sifted
-from truenewton.estimation.stiffness_ml import likeliest, mode_data
-from truenewton.estimation.stiffness_svd import elastic_modes
-from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import WeightErrors, weight_errors
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.screening.noise import Noise
+from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import comparable_arms, enabled_arms, external_load
 
@@ -157,7 +157,7 @@ def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
     return replace(problem, noise=replace(problem.noise, variance=variance))
 
 
-def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Problem:
+def with_share_in_balance(problem: Problem, screened: ScreenedCampaign, alpha: Array) -> Problem:
     """Return the problem with the share of the repeats' scatter that reaches the balance.
 
     From the imbalance of deviations from the mean, A diag(alpha) (c - c_mean), of some repeated
@@ -167,8 +167,8 @@ def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Pro
     """
     if problem.noise.source != NoiseSource.REPEATS:
         return problem
-    scaled_arms, moments = problem.a * alpha, sifted.moments
-    rho = np.concatenate([sample @ scaled_arms.T for sample in sifted.samples])
+    scaled_arms, moments = problem.a * alpha, screened.moments
+    rho = np.concatenate([sample @ scaled_arms.T for sample in screened.samples])
     s = imbalance_covariance(scaled_arms, problem.noise.seen)
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, problem.noise.least / problem.noise.seen.mean())

@@ -18,15 +18,15 @@ from truenewton.arrays import Array
 from truenewton.calibration.exclusion import require_known
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.matrix_order import (
-    DOUBTFUL_ORDER,
+from truenewton.estimation.matrix.order import (
+    MIN_EXPLAINED_COUPLING,
     balance_effects,
     looks_transposed,
     refuse_compliance,
     rigid_cost_and_imbalance,
     share_by_distance,
 )
-from truenewton.estimation.sifted_matrix import released, sift_matrix
+from truenewton.estimation.matrix.screen import released, screen_matrix
 from truenewton.importers.inputs import Given, date_of, read_given
 from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_newton_per_metre
 from truenewton.importers.stored import read_stored
@@ -386,19 +386,19 @@ def judge(matrix: StiffnessMatrix) -> Judged:
             got=share,
         )
     if np.isfinite(share):
-        doubt = "" if share > DOUBTFUL_ORDER else ": LOW, check numbering and places"
+        doubt = "" if share > MIN_EXPLAINED_COUPLING else ": LOW, check numbering and places"
         lines.append(("order", f"{100 * share:.0f} % of the couplings follow the distance{doubt}"))
-    sifted = sift_matrix(matrix)
+    screened = screen_matrix(matrix)
     gone = np.zeros(matrix.layout.n, dtype=np.bool_)
     gone[matrix.layout.enabled] = ~measured
-    off = gone if not sifted.pushing else np.zeros_like(gone)
+    off = gone if not screened.pushing else np.zeros_like(gone)
     if gone.any():
-        what = "disabled" if not sifted.pushing else "left enabled: around them columns do not"
-        what += " balance, as if they had pushed" if sifted.pushing else ""
+        what = "disabled" if not screened.pushing else "left enabled: around them columns do not"
+        what += " balance, as if they had pushed" if screened.pushing else ""
         off_ids, zero = listed(matrix.layout.id[gone], MAX_NAMES), "rows and columns of zeros"
         lines.append(("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {off_ids}"))
-    lines += [("do not fit", each.fault) for each in sifted.unsure]
-    left_out = [each for each in sifted.effects if each.code == Code.ACTUATOR_MISFIT]
+    lines += [("do not fit", each.fault) for each in screened.unsure]
+    left_out = [each for each in screened.effects if each.code == Code.ACTUATOR_MISFIT]
     for reason in dict.fromkeys(each.detail for each in left_out):
         ids = [i for each in left_out if each.detail == reason for i in each.actuators]
         which = named("actuator", ids, MAX_NAMES)

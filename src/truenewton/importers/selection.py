@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, naming
-from truenewton.estimation.matrix_order import refuse_no_stiffness
+from truenewton.estimation.matrix.order import refuse_no_stiffness
 from truenewton.importers.stored import LENGTHS, Item, Stored
 
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")

@@ -11,7 +11,7 @@ from scipy.linalg import lu_factor, lu_solve
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.estimation.reciprocity.sight import Places, seen_from
+from truenewton.estimation.reciprocity.sensor_model import Places, seen_from
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 

@@ -10,15 +10,16 @@ from functools import cached_property, partial
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
+from truenewton.quantities import taking_units
+from truenewton.calibration.methods import asked, calibrate, calibration_of, estimate_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
-from truenewton.errors import Fault, NotToBeUsed
+from truenewton.errors import NotToBeUsed
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import sift
-from truenewton.estimation.sifted_matrix import as_calibrated
+from truenewton.estimation.matrix.screen import as_calibrated
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.modal.actuator_roles import indices_of
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
@@ -29,11 +30,11 @@ from truenewton.modal.shape_products import MotionReader
 from truenewton.modal.static_force import static_force
 from truenewton.modal.true_stiffness import TrueStiffness, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
-from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
+from truenewton.errors import Fault
+from truenewton.rounding import html_table
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import html_table
 from truenewton.statics.modes import StiffnessModes
 
 MOST_COMPARED = 1000  # actuators; modes only to compare take as long, and as much memory, again
@@ -249,11 +250,11 @@ def _with_alpha(
     if isinstance(data, StiffnessMatrix):
         return data, None, calibration or calibrate(data, motion=motion), None
     if reader is None:
-        sifted = sift(data)
-        reader = motion_reader(sifted)
+        screened = screen_campaign(data)
+        reader = motion_reader(screened)
         if calibration is None:
             method, known = asked(data, None, population=False, motion=motion)
-            estimate = find_alpha(sifted, method, known)
+            estimate = estimate_alpha(screened, method, known)
             calibration = calibration_of(data, estimate, (reader.take,))
         else:
             read_rows(data, (reader.take,))

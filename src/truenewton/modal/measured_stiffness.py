@@ -22,12 +22,12 @@ import numpy as np
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
-from truenewton.estimation.diagnosis import RejectedRow
+from truenewton.estimation.checks.inputs import refusal_naming
+from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import Sifted, sift
-from truenewton.estimation.still_readings import frozen_sensors
-from truenewton.estimation.suspects import refusal_naming
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.screening.frozen_readings import frozen_sensors
+from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
 from truenewton.files.stored_rows import Rows, StoredRows, largest_in_rows
 from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign
@@ -108,12 +108,12 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     >>> tn.measured_stiffness(campaign).matrix
     <StiffnessMatrix of P45: 45 actuators>
     """
-    reader = motion_reader(sift(replace(campaign, stiffness=None)))
+    reader = motion_reader(screen_campaign(replace(campaign, stiffness=None)))
     read_rows(campaign, (reader.take,))
     return stiffness_of(reader)
 
 
-def motion_reader(sifted: Sifted) -> MotionReader:
+def motion_reader(screened: ScreenedCampaign) -> MotionReader:
     """Return who reads force and displacement of all rows that stand off in neither.
 
     Where a stiffness stands among the cycles, only the force at rest is read.
@@ -125,9 +125,9 @@ def motion_reader(sifted: Sifted) -> MotionReader:
     TooManyOutliers
         So many rows stand off from their repeats that the rest cannot be trusted.
     """
-    campaign, on = sifted.campaign, sifted.campaign.layout.enabled
+    campaign, on = screened.campaign, screened.campaign.layout.enabled
     if campaign.stiffness is not None:
-        return MotionReader(campaign, sifted.sound)
+        return MotionReader(campaign, screened.sound)
     positioned = [
         k
         for k, cycle in enumerate(campaign.cycles)  # zeros may stand in place of POSITION
@@ -140,16 +140,16 @@ def motion_reader(sifted: Sifted) -> MotionReader:
             got=0,
         )
     if len(positioned) < len(campaign.cycles):  # others tell nothing of these
-        by_force = sift(Campaign(tuple(campaign.cycles[k] for k in positioned)))
+        by_force = screen_campaign(Campaign(tuple(campaign.cycles[k] for k in positioned)))
     else:
-        by_force = sifted
+        by_force = screened
     displaced = tuple(
         replace(cycle, force=_displacements(cycle, positions), position=None, force_error=None)
         for cycle in by_force.sound.cycles
         if (positions := cycle.position) is not None
     )
-    by_position = sift(Campaign(displaced))
-    cycles = list(sifted.sound.cycles)
+    by_position = screen_campaign(Campaign(displaced))
+    cycles = list(screened.sound.cycles)
     for k, cycle, other in zip(
         positioned, by_force.sound.cycles, by_position.sound.cycles, strict=True
     ):
@@ -189,7 +189,7 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     least = UNTOLD if np.isnan(noise) else ROUNDING
     held = values > max(HELD**2 * np.nan_to_num(noise), least**2 * values[-1])
     with refusal_naming(lambda: frozen):
-        along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in cycles))
+        along = _along_rigid(vectors[:, ~held], layout, any(c.has_opposites for c in cycles))
     # (S^-1) on what is held, seen along the rigid motions that are not.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))
     inverse = half @ half.T
@@ -238,7 +238,7 @@ def _displacements(cycle: Cycle, positions: Rows) -> Rows:
     return positions - rest
 
 
-def _along_rigid(missing: Array, layout: Layout, knows_rest: bool) -> Array:
+def _along_rigid(missing: Array, layout: Layout, has_opposites: bool) -> Array:
     """Return (n, n) the projection that takes rigid motions out of displacements.
 
     It keeps what the shapes hold, and takes away as many rigid motions as the (n, d) ``missing``
@@ -257,7 +257,7 @@ def _along_rigid(missing: Array, layout: Layout, knows_rest: bool) -> Array:
         raise RankDeficient(
             f"{elastic} of {n - 3} elastic motions are missing from the shapes or drowned in noise",
             remedy="take shapes that span all stiffness modes, larger, or repeat them"
-            if knows_rest
+            if has_opposites
             else "take each shape with both signs, so that the mirror at rest is known",
             got=n - 3 - elastic,
             want=n - 3,

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.block_rows import distinct
-from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.repeats import row_groups, row_weights
-from truenewton.estimation.row_readers import RowBlock
+from truenewton.estimation.findings.estimate import RejectedRow
+from truenewton.estimation.readings.repeats import row_groups, row_weights
+from truenewton.estimation.readings.row_readers import RowBlock
+from truenewton.estimation.readings.rows import distinct
 from truenewton.files.stored_rows import blocks
 from truenewton.records.campaign import Campaign
 
@@ -123,7 +123,7 @@ class MotionReader:
         if cycle.position is not None:
             z = block.position[counts] - cycle.rest_position
             force *= 1.0 + (cycle.coil_gradient or 0.0) * z
-        at_rest = force[cycle.rest_rows[own]]
+        at_rest = force[cycle.paired_rows[own]]
         self._rest[k] += at_rest.sum(axis=0)
         if k in self._groups and len(force):
             if self._near_rest is None:
@@ -153,7 +153,7 @@ class MotionReader:
     def _end_cycle(self, cycle_index: int) -> None:
         """Count the rows of the cycle from its own rest."""
         rest = self._rest[cycle_index]
-        rest /= np.count_nonzero(self.sound.cycles[cycle_index].rest_rows)
+        rest /= np.count_nonzero(self.sound.cycles[cycle_index].paired_rows)
         if cycle_index in self._groups and self._near_rest is not None:
             shift = rest - self._near_rest
             self._within.cz -= np.outer(shift, self._sum_position)

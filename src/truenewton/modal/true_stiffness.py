@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
 from truenewton.errors import RankDeficient
-from truenewton.estimation.reciprocity.sight import Places, places_of, seen_from
-from truenewton.estimation.sifted_matrix import as_calibrated
+from truenewton.estimation.matrix.screen import as_calibrated
+from truenewton.estimation.reciprocity.sensor_model import Places, places_of, seen_from
 from truenewton.linalg import ROWS_AT_ONCE, symmetrised
 from truenewton.modal.actuator_roles import (
     checked_gain,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truenewton.acquisition.drift import with_turns
+from truenewton.acquisition.load_order import with_turns
 from truenewton.acquisition.plan import CampaignPlan, planned_bodies, planned_mirror
 from truenewton.acquisition.shapes import expected_alpha, model_glass, shapes_and_forces
 from truenewton.arrays import Array

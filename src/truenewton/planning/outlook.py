@@ -10,22 +10,21 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.acquisition.drift import OrderCost, order_costs
-from truenewton.acquisition.mountings import mountings
+from truenewton.acquisition.load_order import OrderCost, mountings, order_costs
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient, TrueNewtonError, located
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.moments import Moments
+from truenewton.estimation.findings.scale_budget import typical
 from truenewton.estimation.prediction import Prediction, predict
+from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.reciprocity.prediction import informed, sensor_errors
 from truenewton.estimation.reciprocity.prediction import predict as predict_with_sensors
-from truenewton.estimation.reciprocity.sight import places_of
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind
-from truenewton.estimation.sifted import campaign_moments
-from truenewton.estimation.weights import typical
+from truenewton.estimation.reciprocity.sensor_model import places_of
+from truenewton.estimation.reciprocity.unknowns import Kind, Request
+from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.shell.puck_motion import seen_by
 from truenewton.planning.forces import (
     Prepared,
@@ -119,7 +118,7 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
     try:
         said = informed(
             places_of(layout, seen_by(ready.glass)),
-            Asked(plan.sensors.gain, plan.sensors.offset),
+            Request(plan.sensors.gain, plan.sensors.offset),
             *(np.sqrt(repeats) * each[:, layout.enabled] for each in (ready.shapes, ready.force)),
             force_noise=plan.force_noise,
             position_noise=plan.sensors.noise,

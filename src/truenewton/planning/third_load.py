@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truenewton.acquisition.drift import mounting_variance, order_cost, scale_balance
+from truenewton.acquisition.load_order import mounting_variance, order_cost, scale_balance
 from truenewton.planning.forces import Prepared
 
 SIGMAS = 3.0  # at which something is seen

@@ -8,11 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.acquisition.drift import OrderCost, turns_that_pay, without_remounting
-from truenewton.acquisition.mountings import mountings, reading_time
-from truenewton.acquisition.taker import ELSEWHERE, SURE
+from truenewton.acquisition.load_order import (
+    OrderCost,
+    mountings,
+    reading_time,
+    turns_that_pay,
+    without_remounting,
+)
+from truenewton.acquisition.taker import POSITION_SIGMAS, POSITION_TOLERANCE
 from truenewton.calibration.words import warning_lines
-from truenewton.estimation.weights import scale_budget
+from truenewton.estimation.findings.scale_budget import scale_budget
 from truenewton.planning.outlook import Curve, Outlook, typical_errors
 from truenewton.planning.target import Way
 from truenewton.rounding import counted, percent
@@ -79,7 +84,7 @@ def _drowned(outlook: Outlook) -> list[tuple[str, str, str]]:
     """Return a row of the shapes so small that noise of positions looks like a fault; or none."""
     shapes, noise = outlook.ready.shapes, outlook.ready.plan.sensors.noise
     strokes = np.abs(shapes).max(axis=1)
-    small = int(np.count_nonzero(ELSEWHERE * strokes < SURE * noise))
+    small = int(np.count_nonzero(POSITION_TOLERANCE * strokes < POSITION_SIGMAS * noise))
     if not small:
         return []
     return [

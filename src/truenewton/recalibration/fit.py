@@ -18,21 +18,19 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.chance import chi2_sf, t_sf
+from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_sf, t_sf
 from truenewton.errors import RankDeficient, UnknownName
-from truenewton.estimation.cycles_ml import estimate_of
-from truenewton.estimation.diagnosis import Diagnosis, RejectedRow, ScaleError
-from truenewton.estimation.estimate import Scale
+from truenewton.estimation.campaign_ml import estimate_of
 from truenewton.estimation.findings.code import Code, Level
+from truenewton.estimation.findings.estimate import Diagnosis, RejectedRow, Scale, ScaleError
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.identifiability import geometry_fault, refuse
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
+from truenewton.estimation.findings.scale_budget import scale_error_from_readings
+from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.paper.equations import Unknowns
+from truenewton.estimation.paper.identifiability import geometry_fault, refuse
 from truenewton.estimation.problem import Problem, with_noise_from_minimum
-from truenewton.estimation.sifted import sift
-from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import scale_error_from_readings
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.recalibration.known import (
     EARLIER,
     EarlierCalibration,
@@ -42,11 +40,11 @@ from truenewton.recalibration.known import (
 from truenewton.recalibration.short_run import (
     Pulls,
     balancing,
+    build_problem,
+    constrain,
     degrees_of,
-    held_to,
     inverse_of,
-    posed_problem,
-    pulls_of,
+    prior_residuals,
     run_from,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
@@ -138,19 +136,19 @@ def recalibrate(
     before = known_from(known, data, force=force)
     ids = data.layout.id[data.layout.enabled]
     new = _new(data, before, actuators)
-    sifted = sift(data)
-    _refuse_too_little(sifted.sound, sifted.moments, int(new.sum()))
+    screened = screen_campaign(data)
+    _refuse_too_little(screened.sound, screened.moments, int(new.sum()))
     errors, scale = shared_errors(before, data)
-    problem = posed_problem(before, sifted, errors)
-    problem, moments, minimum, lost = balancing(problem, before, sifted, new)
+    problem = build_problem(before, screened, errors)
+    problem, moments, minimum, lost = balancing(problem, before, screened, new)
     problem, minimum, stay, moved, against = _who_moved(problem, before, moments, minimum, ~new)
     problem, minimum = with_noise_from_minimum(problem, moments, minimum, degrees_of)
-    rejected = (*sifted.rejected, *lost)
+    rejected = (*screened.rejected, *lost)
     calibration = _calibration(before, problem, moments, minimum, rejected, scale, stay)
     degrees = len(against.contrasts)
     probability = float(chi2_sf(against.chi2, degrees)) if degrees else float("nan")
     limits = tuple(_limits(before, data, probability, against.scatter.own))
-    effects = (*calibration.effects, *sifted.suspects, *sifted.frozen)
+    effects = (*calibration.effects, *screened.suspects, *screened.frozen)
     calibration = replace(calibration, effects=effects)
     calibration = _with_faults(calibration, before, limits)
     warn_of(calibration)
@@ -187,9 +185,9 @@ def _who_moved(
     moved: list[Outlier] = []
     stay = stay.copy()
     while True:
-        problem = held_to(problem, known, stay)
+        problem = constrain(problem, known, stay)
         minimum = problem.fitted(moments, minimum.values)
-        found = against = pulls_of(problem, minimum, stay)
+        found = against = prior_residuals(problem, minimum, stay)
         scatter = against.scatter
         if scatter.own > OTHER_UNIT:
             raise RankDeficient(
@@ -200,9 +198,9 @@ def _who_moved(
                 want=OTHER_UNIT,
             )
         if scatter.own:
-            problem = held_to(problem, known, stay, scatter.own)
+            problem = constrain(problem, known, stay, scatter.own)
             minimum = problem.fitted(moments, minimum.values)
-            found = pulls_of(problem, minimum, stay)
+            found = prior_residuals(problem, minimum, stay)
         sigmas = found.sigmas
         worst = int(np.abs(sigmas).argmax())
         freedom = scatter.degrees_of(float(found.variance[worst]))

@@ -15,11 +15,15 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import InSegments
 from truenewton.calibration.verdict import REGARDLESS, Verdict, judged, refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
-from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
-from truenewton.estimation.estimate import Scale
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import ErrorKind, ErrorSource, Scale
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
+from truenewton.estimation.findings.scale_budget import (
+    MAGNET_COEFFICIENT,
+    WeightErrors,
+    added_source,
+    weight_errors,
+)
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive
 from truenewton.reading import part_of
@@ -241,7 +245,7 @@ def shared_errors(known: EarlierCalibration, campaign: Campaign) -> tuple[Weight
     away = mean_temperature(campaign.cycles) - known.temperature
     if abs(away) > SAME_TEMPERATURE:
         # All alphas have changed alike; the earlier scale holds at the earlier temperature.
-        errors[ErrorSource(ErrorKind.TEMPERATURE)] = MAGNETS * away * weights
+        errors[ErrorSource(ErrorKind.TEMPERATURE)] = MAGNET_COEFFICIENT * away * weights
     return {EARLIER: change} | errors, scale
 
 

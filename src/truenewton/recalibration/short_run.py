@@ -26,20 +26,20 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, NotConverged, RankDeficient
-from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.identifiability import load_fault
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.outliers import balancing_groups, balancing_moments
+from truenewton.estimation.findings.estimate import RejectedRow
+from truenewton.estimation.findings.scale_budget import WeightErrors
+from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.outlying_shapes import balancing_groups, balancing_moments
+from truenewton.estimation.paper.identifiability import load_fault
 from truenewton.estimation.problem import (
     Problem,
     problem_of,
     with_noise_from_minimum,
     with_share_in_balance,
 )
-from truenewton.estimation.sifted import Sifted
-from truenewton.estimation.weights import WeightErrors
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.linalg import inverse_of_positive, mirrored
 from truenewton.reading import read_one
 from truenewton.recalibration.known import EarlierCalibration
@@ -61,10 +61,12 @@ def run_from(campaign: Campaign | str | os.PathLike[str]) -> Campaign:
     return data
 
 
-def posed_problem(known: EarlierCalibration, sifted: Sifted, errors: WeightErrors) -> Problem:
+def build_problem(
+    known: EarlierCalibration, screened: ScreenedCampaign, errors: WeightErrors
+) -> Problem:
     """Pose the problem of a run about the earlier alpha, of which nothing is held yet."""
-    campaign = sifted.sound
-    problem = problem_of(campaign, reading_noise(campaign, sifted.moments), errors)
+    campaign = screened.sound
+    problem = problem_of(campaign, reading_noise(campaign, screened.moments), errors)
     alpha = np.where(np.isfinite(known.alpha), known.alpha, np.nanmean(known.alpha))
     mean = np.zeros(problem.unknowns.total)
     mean[problem.unknowns.alpha] = alpha[campaign.layout.enabled]
@@ -73,7 +75,7 @@ def posed_problem(known: EarlierCalibration, sifted: Sifted, errors: WeightError
     return replace(problem, prior=replace(problem.prior, mean=mean, held=held))
 
 
-def held_to(
+def constrain(
     problem: Problem, known: EarlierCalibration, stay: NDArray[np.bool_], scatter: float = 0.0
 ) -> Problem:
     """Return the problem with the (n,) who stay held to their earlier calibration.
@@ -98,24 +100,24 @@ def _hardly_held(problem: Problem, new: NDArray[np.bool_]) -> Problem:
 
 
 def balancing(
-    posed: Problem, known: EarlierCalibration, sifted: Sifted, new: NDArray[np.bool_]
+    posed: Problem, known: EarlierCalibration, screened: ScreenedCampaign, new: NDArray[np.bool_]
 ) -> tuple[Problem, Moments, Minimum, tuple[RejectedRow, ...]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
     Held to its earlier calibration, one that was replaced, of (n,) ``new``, would make good shapes
     look bad.
     """
-    moments = sifted.moments
+    moments = screened.moments
     try:
         free = _hardly_held(posed, new)
         belongs, distance, (problem, minimum) = balancing_groups(free, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
-        free = held_to(posed, known, ~new)
+        free = constrain(posed, known, ~new)
         belongs, distance, (problem, minimum) = balancing_groups(free, moments)
-    free = with_share_in_balance(free, sifted, minimum.values[: problem.n])
+    free = with_share_in_balance(free, screened, minimum.values[: problem.n])
     if free.dependent:
         belongs, distance, (problem, minimum) = balancing_groups(free, moments)
-    moments, lost = balancing_moments(sifted, belongs, distance, (problem, minimum))
+    moments, lost = balancing_moments(screened, belongs, distance, (problem, minimum))
     problem, minimum = with_noise_from_minimum(problem, moments, minimum, degrees_of)
     return problem, moments, minimum, lost
 
@@ -171,7 +173,7 @@ class Pulls:
         return scatter_of(y, covariance, self.shift, everyone, common=False)
 
 
-def pulls_of(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> Pulls:
+def prior_residuals(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> Pulls:
     """Return how the (n,) who stay are pulled."""
     n = problem.n
     at = np.ix_(stay, stay)

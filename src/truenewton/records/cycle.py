@@ -298,21 +298,21 @@ class Cycle:
         return np.isin(-code, code)
 
     @property
-    def knows_rest(self) -> bool:
+    def has_opposites(self) -> bool:
         """Whether a shape stands with both signs, so that ``rest_position`` is no displacement."""
         return bool(self._paired.any())
 
     @property
-    def rest_rows(self) -> NDArray[np.bool_]:
+    def paired_rows(self) -> NDArray[np.bool_]:
         """(N_valid,) the rows that have their opposite: their mean is the mirror at rest.
 
         All rows where none has one.
         """
-        return self._paired if self.knows_rest else np.ones_like(self._paired)
+        return self._paired if self.has_opposites else np.ones_like(self._paired)
 
     @property
     def rest_position(self) -> Array:
-        """(n_enabled,) mean reading of each sensor over ``rest_rows`` [m]; 0 without POSITION.
+        """(n_enabled,) mean reading of each sensor over ``paired_rows`` [m]; 0 without POSITION.
 
         That is the flat mirror, whatever rows are missing.
         """
@@ -329,7 +329,7 @@ class Cycle:
         n = int(self.layout.enabled.sum())
         if self.position is None:
             return np.zeros(n), np.zeros(n)
-        counted = np.stack([self.rest_rows, np.ones(self._paired.size)])
+        counted = np.stack([self.paired_rows, np.ones(self._paired.size)])
         first, sums, square = self.used(self.position, slice(1))[0], np.zeros((2, n)), np.zeros(n)
         for some in self.used_blocks():
             moved = self.used(self.position, some) - first

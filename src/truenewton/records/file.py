@@ -21,7 +21,6 @@ from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, Ta
 from truenewton.files.hdf5 import STREAM, is_hdf5, read_hdf5, write_hdf5
 from truenewton.files.hdf5 import SUFFIXES as HDF5
 from truenewton.files.outputs import folder_beside
-from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.samples import SampleMeans, left_in_file, rows_of_samples, sample_means
 from truenewton.records.segment import Segment, lacks_weights, sums_of
@@ -383,8 +382,3 @@ def write_stiffness(
     >>> tn.write_stiffness(matrix, "feedforward.fits")
     """
     write_fits(path, STIFFNESS, matrix, overwrite=overwrite)
-
-
-def campaign_from(files: Iterable[FitsFile]) -> Campaign:
-    """Return the campaign that cycle files make together."""
-    return Campaign(tuple(map(cycle_from, files)))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from truenewton.calibration.result import Calibration
-from truenewton.estimation.estimate import Scale
-from truenewton.estimation.weights import scale_budget, scale_total, typical
+from truenewton.estimation.findings.estimate import Scale
+from truenewton.estimation.findings.scale_budget import scale_budget, scale_total, typical
 
 
 def error_budget(c: Calibration) -> dict[str, float]:

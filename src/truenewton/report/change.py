@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.written import AnyCalibration
-from truenewton.chance import normal_isf
+from truenewton.chance import FALSE_ALARM, normal_isf
 from truenewton.errors import CampaignMismatch, RankDeficient
-from truenewton.estimation.estimate import Scale
-from truenewton.estimation.multiple_tests import FALSE_ALARM
-from truenewton.estimation.weights import typical
+from truenewton.estimation.findings.estimate import Scale
+from truenewton.estimation.findings.scale_budget import typical
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
 from truenewton.figures.style import ACCENT, FAINT, on_screen, styled_axes
 from truenewton.report.layers import Layer, alpha_layer

@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
-from truenewton.estimation.diagnosis import NoiseSource
-from truenewton.estimation.displaced_rows import balanced_rows, is_displaced
-from truenewton.estimation.identifiability import balance_spectrum, centred_means
-from truenewton.estimation.imbalance import imbalance_covariance, squared_distances
-from truenewton.estimation.moments import chosen_groups
-from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.findings.estimate import NoiseSource
+from truenewton.estimation.matrix.modes import elastic_modes, modal_stiffness
+from truenewton.estimation.matrix.screen import as_calibrated
+from truenewton.estimation.paper.equations import imbalance_covariance, squared_distances
+from truenewton.estimation.paper.identifiability import balance_spectrum, centred_means
 from truenewton.estimation.problem import problem_of, with_share_in_balance
-from truenewton.estimation.repeats import row_groups, row_weights
-from truenewton.estimation.row_readers import RowBlock
-from truenewton.estimation.sifted import Sifted, without
-from truenewton.estimation.sifted_matrix import as_calibrated
-from truenewton.estimation.stiffness_svd import elastic_modes, modal_stiffness
+from truenewton.estimation.readings.moments import chosen_groups
+from truenewton.estimation.readings.repeats import row_groups, row_weights
+from truenewton.estimation.readings.row_readers import RowBlock
+from truenewton.estimation.readings.rows import balanced_rows, is_displaced
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import ScreenedCampaign, without
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms, enabled_arms
@@ -122,9 +122,9 @@ class Evidence:
 class RowImbalance:
     """Imbalance of the rows of a campaign, with alpha = 1 and with (n,) alpha, as they are read."""
 
-    def __init__(self, sifted: Sifted, alpha: Array) -> None:
-        campaign, a = sifted.campaign, enabled_arms(sifted.campaign.layout)
-        self._balanced = [balanced_rows(c, a, sifted.moments.reference) for c in campaign.cycles]
+    def __init__(self, screened: ScreenedCampaign, alpha: Array) -> None:
+        campaign, a = screened.campaign, enabled_arms(screened.campaign.layout)
+        self._balanced = [balanced_rows(c, a, screened.moments.reference) for c in campaign.cycles]
         self._arms = (a, a * alpha)
         self._parts: list[Array] = []
 
@@ -147,22 +147,23 @@ class RowImbalance:
 
 
 def campaign_evidence(
-    sifted: Sifted, calibration: Calibration, imbalance: RowImbalance
+    screened: ScreenedCampaign, calibration: Calibration, imbalance: RowImbalance
 ) -> Evidence:
     """Return the evidence that a campaign gives for its calibration; no row is read."""
-    campaign = sifted.campaign
+    campaign = screened.campaign
     a, on = enabled_arms(campaign.layout), campaign.layout.enabled
     scaled_arms = a * calibration.alpha[on]
     valid = np.concatenate([c.valid for c in campaign.cycles])
     cycle = np.repeat(np.arange(len(campaign.cycles)), [c.valid.sum() for c in campaign.cycles])
     balancing = without(campaign, list(calibration.rejected_rows))
     kept, sound = (
-        np.concatenate([c.valid for c in part.cycles])[valid] for part in (balancing, sifted.sound)
+        np.concatenate([c.valid for c in part.cycles])[valid]
+        for part in (balancing, screened.sound)
     )
-    group = np.concatenate(row_groups(sifted.sound)[2])
-    belongs = np.bincount(group[kept[sound]], minlength=len(sifted.moments.rows)) > 0
-    moments = chosen_groups(sifted.moments, belongs)
-    noise = reading_noise(sifted.sound, sifted.moments)
+    group = np.concatenate(row_groups(screened.sound)[2])
+    belongs = np.bincount(group[kept[sound]], minlength=len(screened.moments.rows)) > 0
+    moments = chosen_groups(screened.moments, belongs)
+    noise = reading_noise(screened.sound, screened.moments)
     weight, load = np.array(row_weights(campaign))[cycle], np.array(campaign.load_index)[cycle]
     rho = imbalance.before_and_after(load, kept)
     before, after = rho
@@ -171,8 +172,8 @@ def campaign_evidence(
         # Known in shape only: its size is what the residuals have.
         s = imbalance_covariance(scaled_arms, variance)
         variance = variance * np.mean(squared_distances(after, weight, s)[kept]) / 3
-    problem = problem_of(sifted.sound, replace(noise, variance=variance))
-    share = with_share_in_balance(problem, sifted, calibration.alpha[on]).noise.share
+    problem = problem_of(screened.sound, replace(noise, variance=variance))
+    share = with_share_in_balance(problem, screened, calibration.alpha[on]).noise.share
     s, s_before = (share * imbalance_covariance(each, variance) for each in (scaled_arms, a))
     readings = np.sqrt(variance * moments.typical_variance)
     return Evidence(

@@ -13,7 +13,7 @@ from truenewton.calibration.methods import (
     asked,
     calibrate,
     calibration_of,
-    find_alpha,
+    estimate_alpha,
     refusals,
 )
 from truenewton.calibration.result import Calibration
@@ -25,8 +25,8 @@ from truenewton.errors import (
     TrueNewtonError,
     UnknownName,
 )
-from truenewton.estimation.estimate import Estimate
-from truenewton.estimation.sifted import Sifted, sift
+from truenewton.estimation.findings.estimate import Estimate
+from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
 from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.measured_stiffness import motion_reader
@@ -135,28 +135,28 @@ def investigate(
     if isinstance(data, Calibration):
         return Findings(data, data)
     method, known = asked(data, method, population=population, motion=motion)
-    sifted: Sifted | None = None
+    screened: ScreenedCampaign | None = None
     try:
         if isinstance(data, StiffnessMatrix):
             calibration = calibrate(data, method, **known._asdict())
             evidence = stiffness_evidence(data, calibration)
             modes, no_modes = _modes(data, lambda: find_modes(data, calibration, force=True))
             return Findings(data, calibration, evidence, modes=modes, no_modes=no_modes)
-        sifted = sift(data)
-        estimate = find_alpha(sifted, method, known)
+        screened = screen_campaign(data)
+        estimate = estimate_alpha(screened, method, known)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        return Findings(data, None, faults=refusals(error, sifted))
-    return _findings_of(sifted, estimate)
+        return Findings(data, None, faults=refusals(error, screened))
+    return _findings_of(screened, estimate)
 
 
-def _findings_of(sifted: Sifted, estimate: Estimate) -> Findings:
+def _findings_of(screened: ScreenedCampaign, estimate: Estimate) -> Findings:
     """Return all that is told of a campaign; its rows are read once more for it."""
-    campaign, n = sifted.campaign, int(sifted.campaign.layout.enabled.sum())
-    imbalance = RowImbalance(sifted, estimate.values[:n])
-    reader, no_modes = _modes(campaign, lambda: motion_reader(sifted))
+    campaign, n = screened.campaign, int(screened.campaign.layout.enabled.sum())
+    imbalance = RowImbalance(screened, estimate.values[:n])
+    reader, no_modes = _modes(campaign, lambda: motion_reader(screened))
     readers = [imbalance.take] if reader is None else [imbalance.take, reader.take]
     calibration = calibration_of(campaign, estimate, readers)
-    evidence, modes = campaign_evidence(sifted, calibration, imbalance), None
+    evidence, modes = campaign_evidence(screened, calibration, imbalance), None
     if reader is not None:
         modes, no_modes = _modes(
             campaign, lambda: find_modes(campaign, calibration, reader=reader, force=True)

@@ -11,8 +11,8 @@ from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.written import AnyCalibration
-from truenewton.estimation.estimate import Scale
-from truenewton.estimation.identifiability import leverage
+from truenewton.estimation.findings.estimate import Scale
+from truenewton.estimation.paper.identifiability import leverage
 from truenewton.figures.maps import plot_map
 from truenewton.figures.style import MILLIMETRE, SIGNED_COLOURS
 from truenewton.report.evidence import Evidence

@@ -16,8 +16,8 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.estimation.cycles_svd import solve_whatever_rank
-from truenewton.estimation.systems import system_c, system_e
+from truenewton.estimation.paper.equations import system_c, system_e
+from truenewton.estimation.paper.svd import solve_whatever_rank
 from truenewton.mirrors.known import Mirror
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle

@@ -18,7 +18,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
-from truenewton.estimation.estimate import Scale
+from truenewton.estimation.findings.estimate import Scale
 from truenewton.linalg import factor_of
 from truenewton.reading import Read, of_segment, read
 from truenewton.records.campaign import Campaign, mean_temperature

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread, spread_square
-from truenewton.chance import f_sf
+from truenewton.chance import FALSE_ALARM, chance_of_any, f_sf
 from truenewton.errors import CampaignMismatch, RankDeficient
-from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.rounding import counted
 from truenewton.tracking.days import (
     OTHER_UNIT,

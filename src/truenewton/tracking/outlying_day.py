@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.chance import f_sf
-from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
+from truenewton.chance import FALSE_ALARM, chance_of_any, f_sf
 from truenewton.rounding import percent
 from truenewton.tracking.days import DatedCalibration
 from truenewton.tracking.linear_fit import RelativeDays, relative_days

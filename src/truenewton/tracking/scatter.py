@@ -29,9 +29,8 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.chance import chi2_ppf, chi2_sf, normal_isf, t_isf
+from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_ppf, chi2_sf, normal_isf, t_isf
 from truenewton.errors import NotConverged
-from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 
 STEPS = 200
 FREE = 1e8  # of the variance of a typical contrast: of a shift that may be anything

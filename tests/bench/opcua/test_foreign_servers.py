@@ -18,9 +18,8 @@ from helpers.acquisition_plans import LOADS, small_plan
 from helpers.foreign_server import NAMESPACE, electronics
 from helpers.opcua_server import choice, free_port, in_thread
 from helpers.stub_bench import SMALL, StubBench
-from truenewton.acquisition.benches import chosen_bench
+from truenewton.acquisition.acquire import chosen_bench
 from truenewton.acquisition.shapes import shapes_and_forces
-from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.methods import (
     METHODS,
@@ -31,7 +30,7 @@ from truenewton.bench.opcua.methods import (
     scalar,
     variants,
 )
-from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
+from truenewton.bench.protocol import Bench, BenchChoice, Operator, Shape, gradients_of
 from truenewton.errors import BenchFault, FormatError, TrueNewtonError
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.file import mirror_from
@@ -284,7 +283,6 @@ def test_answers_of_another_kind_are_refused_by_name(method, values, said):
     [
         (BenchChoice("opcua", seed=7), "seed is 7; take it out: a bench of kind 'opcua'"),
         (BenchChoice("opticalib", seed=7), "seed is 7; take it out: a bench of kind 'opticalib'"),
-        (BenchChoice("replay", user="me"), "user is 'me'; take it out"),
         (BenchChoice("simulated", address="a"), "address is 'a'; take it out"),
     ],
 )
@@ -379,11 +377,11 @@ POSIX = "fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", 
 
 
 def test_nothing_needs_posix():
-    """Windows has none of these; the lock of a folder takes its own where there is no fcntl."""
+    """Windows has none of these."""
     imports = re.compile(rf"^\s*(?:import|from) (?:{'|'.join(POSIX)})\b", re.MULTILINE)
     source = Path(tn.__file__).parent.rglob("*.py")
     found = [path.name for path in source if imports.search(path.read_text(encoding="utf-8"))]
-    assert found == ["lock.py"]
+    assert found == []
 
 
 def test_the_journal_is_let_go_before_it_is_removed(tmp_path, monkeypatch):

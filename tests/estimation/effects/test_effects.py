@@ -13,18 +13,16 @@ from helpers.balanced import BIAS, campaign_of, changed, exact_weights, rms_z, w
 from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
+from truenewton.chance import OF_EACH_KIND
 from truenewton.estimation.effects import score_test
 from truenewton.estimation.effects.catalogue import CATALOGUE
 from truenewton.estimation.effects.correction import correction
-from truenewton.estimation.effects.derivative import scored, variance_at_least
-from truenewton.estimation.effects.examined import chi2_probability
-from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.effects.unknown_force import unknown_force
-from truenewton.estimation.multiple_tests import OF_EACH_KIND
-from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.effects.derivative import FittedRows, scored, variance_at_least
+from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.estimation.effects.score_test import unknown_force
 from truenewton.estimation.problem import problem_of
-from truenewton.estimation.sifted import campaign_moments, sift
-from truenewton.estimation.structure import FITS
+from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
+from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
 from truenewton.linalg import mirrored
 from truenewton.mirrors.known import p45
 from truenewton.statics.layout import rings
@@ -40,7 +38,7 @@ STRUCK = np.array([3, 9])
 
 def fit_of(campaign, *, pooled=None):
     """Return the fit of a campaign without effects."""
-    moments = sift(campaign).moments
+    moments = screen_campaign(campaign).moments
     if pooled is not None:
         moments = replace(moments, pooled=pooled)
     problem = problem_of(campaign, reading_noise(campaign, moments))
@@ -68,9 +66,9 @@ def uneven(pooled):
     return fit_of(campaign, pooled=pooled)
 
 
-def struck(fit, name):
+def affected(fit, name):
     """Return a fit where two actuators are taken to stand out, if the effect asks for some."""
-    return replace(fit, struck=STRUCK) if name in SINGLE else fit
+    return replace(fit, affected=STRUCK) if name in SINGLE else fit
 
 
 def balance(fit, problem, moments):
@@ -93,7 +91,7 @@ def steps(fit, name, function):
 
     Of a sum of squares they are exact, whatever the step: a tenth of what would be seen.
     """
-    derivative = OF[name].derivative(struck(fit, name))
+    derivative = OF[name].derivative(affected(fit, name))
     result = scored(fit, derivative)
     h = 0.1 / np.sqrt(np.maximum(result.whole, 1e-300))
     first, second = np.empty((2, len(h)))
@@ -128,7 +126,7 @@ def test_score_and_information_are_derivatives_of_chi2(name, pooled):
 @pytest.mark.parametrize("name", NAMES)
 def test_alpha_moves_as_told_if_an_effect_is_taken_out(name):
     """B: fitted again, without a little of each parameter; at a small noise, so that D is none."""
-    fit = struck(fit_of(SmallBench(2, 1e-5, order=THREE).campaign()), name)
+    fit = affected(fit_of(SmallBench(2, 1e-5, order=THREE).campaign()), name)
     derivative = OF[name].derivative(fit)
     result = scored(fit, derivative)
     count = len(result.score)
@@ -543,8 +541,8 @@ def test_a_force_that_does_not_turn_with_the_displacement_is_named_with_its_actu
     assert rms_z(found, bench.alpha) < 2
     assert found.error.mean() > calibrate(SmallBench([1, 10], SIGMA).campaign()).error.mean()
     wrong = correction(fit_of(bench.campaign(), pooled=True), OF["positions"])
-    freedom = wrong.problem.degrees_of_freedom(wrong.moments) - wrong.told
-    assert chi2_probability(wrong.minimum.chi2, freedom, wrong.problem.noise) < FITS
+    freedom = wrong.problem.degrees_of_freedom(wrong.moments) - wrong.effective_parameters
+    assert chi2_probability(wrong.minimum.chi2, freedom, wrong.problem.noise) < MIN_FIT_PROBABILITY
 
 
 def test_no_force_is_seen_on_clean_campaigns():
@@ -590,7 +588,7 @@ def test_an_effect_named_but_not_corrected_adds_its_shift_to_the_error():
     """A weight that is wrong, under three loads: E_STAT is no hundred times what alpha is off."""
     bench, _ = bench_with("weight of a load", 1, noise=1e-4)
     found = calibrate(bench.campaign())
-    assert found.goodness.probability < FITS
+    assert found.goodness.probability < MIN_FIT_PROBABILITY
     off = np.abs(found.alpha / bench.alpha - 1)
     assert np.mean(off < 1.96 * found.error / bench.alpha) > 0.9
     assert np.median(found.error / bench.alpha) < 5 * np.median(off)

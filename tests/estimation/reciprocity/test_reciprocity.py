@@ -23,8 +23,9 @@ from truenewton.errors import (
     TrueNewtonWarning,
     UnknownName,
 )
-from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.reciprocity import cycles, iteration
+from truenewton.estimation.matrix.misfits import condensed
+from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
+from truenewton.estimation.reciprocity import iteration
 from truenewton.estimation.reciprocity.condensation import (
     condensed_regression,
     kept_places,
@@ -32,11 +33,11 @@ from truenewton.estimation.reciprocity.condensation import (
 )
 from truenewton.estimation.reciprocity.information import information, score
 from truenewton.estimation.reciprocity.iteration import fit, point_at
-from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.matrix import modes_of
-from truenewton.estimation.reciprocity.sight import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.reciprocity.regression import Regressed
+from truenewton.estimation.reciprocity.sensor_model import places_of, sight
+from truenewton.estimation.reciprocity.unknowns import Kind, Request, Values
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import mmt336, p45, ring
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import puck_motion
@@ -45,7 +46,7 @@ from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import rings
 
-ALL = Asked(1.0, 1.0)  # asked for: alpha, gains and offsets
+ALL = Request(1.0, 1.0)  # asked for: alpha, gains and offsets
 
 
 def noisy_stiffness(seed, level, *, flat=False, gain=0.02, offset=5e-4):
@@ -132,7 +133,7 @@ def test_score_and_information_are_those_of_the_likelihood_with_all_of_k(every_b
 
 @pytest.mark.parametrize(("spread", "offset"), [(np.inf, 0.0), (0.02, 5e-4)])
 def test_scatter_is_the_bound_and_intervals_cover(spread, offset):
-    asked, squares, bounds, inside = Asked(spread, offset), [], [], []
+    asked, squares, bounds, inside = Request(spread, offset), [], [], []
     for seed in range(30):
         gain = 0.02 if spread else 0.0
         places, values, stiffness, true = noisy_stiffness(
@@ -194,8 +195,11 @@ def test_with_a_model_of_the_glass_the_readings_of_annuli_fit():
     motion = puck_motion(bench.glass)
     work = motion.T @ bench.glass.stiffness
     assert np.abs(work - work.T).max() < 1e-9 * np.abs(work).max()
-    sifted = sift(p45_campaign())
-    with_model, without = cycles.find(sifted, motion), cycles.find(sifted)
+    screened = screen_campaign(p45_campaign())
+    with_model, without = (
+        reciprocity_of_campaign.find(screened, motion),
+        reciprocity_of_campaign.find(screened),
+    )
     assert with_model.goodness.probability > 1e-3
     assert with_model.goodness.chi2 < without.goodness.chi2
 
@@ -240,7 +244,7 @@ def test_errors_hold_where_annuli_are_off_their_magnets_and_the_glass_is_known()
         square = (made.readings / made.level**2) @ made.readings.T
         known = Regressed(made.stiffness, square, np.eye(layout.n))
         for seen in (p45_motion(), p45_motion()[0]):
-            found = fit(places_of(layout, seen), Asked(0.004, 5e-4), known.states, start=values)
+            found = fit(places_of(layout, seen), Request(0.004, 5e-4), known.states, start=values)
             error = found.values.log_alpha - values.log_alpha
             error -= error.mean()
             stated = np.sqrt(np.diag(found.covariance_of(Kind.ALPHA)))
@@ -290,7 +294,7 @@ def test_errors_hold_where_soft_modes_are_lost_in_noise():
         exact = by_plate(mirror.layout, stiffness, values, offsets=False)
         k = with_noise(random, exact, values, 0.02).stiffness
         modes = modes_of(StiffnessMatrix("RING", START, mirror.layout, k))
-        found = modes.fit(Asked(0.004, estimated=True))
+        found = modes.fit(Request(0.004, estimated=True))
         error = found.values.log_alpha - values.log_alpha
         error -= error.mean()
         errors.append(np.mean(error**2))
@@ -416,7 +420,7 @@ def test_with_the_glass_reciprocity_is_taken_where_it_holds_from_every_door(insi
 
 def test_ml_is_advised_only_where_it_was_not_taken(monkeypatch):
     campaign = p45_campaign(cycles=2)
-    monkeypatch.setattr(iteration, "STEPS", 1)
+    monkeypatch.setattr(iteration, "MAX_STEPS", 1)
     with pytest.raises(NotConverged, match="or use ml"):
         calibrate(campaign, "reciprocity")
     made = calibrate(campaign, "auto")

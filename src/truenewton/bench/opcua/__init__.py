@@ -1,11 +1,8 @@
-"""The way to a bench behind OPC UA; needs the extra `opcua` only when it is gone.
+"""A bench behind OPC UA; the extra `opcua` is needed only to connect or serve.
 
 client    a bench behind an OPC UA server, as any other bench
 server    a bench behind a server on the loopback
 methods   the variables and methods of its node
-door      nothing is said, and nothing heard, but to known clients
-limits    what one connection may take of the server
-decoding  where asyncua decodes without end, an end
 keys      certificates, private keys and a password, in a folder of the owner
 """
 
@@ -14,7 +11,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from truenewton.bench.choice import BenchChoice
+from truenewton.bench.protocol import BenchChoice
 from truenewton.errors import BenchFault
 
 if TYPE_CHECKING:
@@ -22,12 +19,7 @@ if TYPE_CHECKING:
 
 
 def require_asyncua() -> None:
-    """Refuse where the extra is not installed.
-
-    Raises
-    ------
-    BenchFault
-    """
+    """Refuse where the extra is not installed."""
     try:
         import asyncua  # noqa: F401
     except ModuleNotFoundError as error:
@@ -43,15 +35,15 @@ def connect(choice: BenchChoice, folder: str | os.PathLike[str] = ".") -> OpcUaB
     ----------
     choice
         Its address, and user, password_file, certificate, private_key and server_certificate,
-        without which nobody connects.
+        all of which are required.
     folder
         Relative to which the files stand: that of the plan.
 
     Raises
     ------
     BenchFault
-        The extra is not installed, something is missing in the choice, nobody answers, or the
-        server refuses us.
+        The extra is not installed, something is missing in the choice, the server does
+        not answer, or it refuses us.
     UnreadableFile, FormatError
         Keys that cannot be used.
 

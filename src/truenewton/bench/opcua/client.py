@@ -16,25 +16,23 @@ from asyncua.client.ua_client import UaClientState
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.sync import ThreadLoop
 
-import truenewton.bench.opcua.decoding  # noqa: F401
-from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
-from truenewton.bench.opcua.limits import MESSAGE
 from truenewton.bench.opcua.methods import (
+    MAX_MESSAGE,
     METHODS,
     VARIABLES,
     mirror_of,
     received_answer,
     variants,
 )
-from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.bench.protocol import BenchChoice, Reading, Shape, Status
 from truenewton.errors import BenchFault, Interrupted, TrueNewtonError
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 PAUSE = 0.2  # between two attempts [s]
 Attribute = ua.AttributeIds
-ERRORS = {  # an interruption is nobody's but ours
+ERRORS = {  # an interruption is always our own
     error.__name__: error for error in TrueNewtonError.__subclasses__() if error is not Interrupted
 }
 
@@ -43,8 +41,8 @@ class OpcUaBench:
     """A mirror behind an OPC UA server, signed, encrypted, with user and password.
 
     A connection that is lost comes back with the next call. A reading is refused then until a
-    shape was commanded anew: nobody knows what the mirror did meanwhile. What it takes and raises
-    `opcua.connect` says.
+    shape was commanded anew: what the mirror did meanwhile is unknown. `opcua.connect` describes
+    the arguments and errors.
 
     Attributes
     ----------
@@ -84,10 +82,7 @@ class OpcUaBench:
         self._commanded: int | None = None  # in which of them the last shape was commanded
         self._thread = ThreadLoop(timeout=None)
         self._thread.daemon = True
-        try:
-            self._thread.start()
-        except RuntimeError as error:
-            raise self._fault(f"gets no thread ({error})", "free memory or processes") from error
+        self._thread.start()
         self._one_at_a_time = threading.Lock()
         try:
             self._thread.post(self._connected())
@@ -218,7 +213,7 @@ class OpcUaBench:
         )
         client.application_uri = keys.CLIENT_URI
         client.session_timeout = 600_000  # [ms]
-        client.max_messagesize = MESSAGE
+        client.max_messagesize = MAX_MESSAGE
         client.set_user(self._choice.user)
         client.set_password(self._password)
         client.security_policy = self._new_policy()

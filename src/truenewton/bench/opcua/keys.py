@@ -1,6 +1,6 @@
-"""Who may talk to a bench: certificates, private keys and a password, in a folder of the owner's.
+"""Who may use a bench: certificates, private keys and a password, in a folder of the owner's.
 
-Both ends of OPC UA read them here; whoever imports this file needs asyncua.
+Server and client read them here. This file needs asyncua.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import secrets
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from asyncua.crypto.cert_gen import (
     dump_private_key_as_pem,
@@ -46,17 +46,12 @@ TRUSTED = "trusted"  # a folder: the certificates of the clients that may come
 YEARS = 5
 MOST_KEY = 2**16  # bytes
 Value = TypeVar("Value")
-# Where nobody set up logging, asyncua would print every refusal, with its traceback.
+# If logging is not set up, asyncua would print every refusal, with its traceback.
 logging.getLogger("asyncua").addHandler(logging.NullHandler())
 
 
 def make_keys(folder: str | os.PathLike[str]) -> None:
-    """Make the keys of a server and of one client, unless the folder stands.
-
-    Raises
-    ------
-    OutputFailed
-    """
+    """Make the keys of a server and of one client, unless the folder stands."""
     if os.path.lexists(folder):
         return
     with folder_beside(folder, ()) as new:
@@ -87,12 +82,7 @@ def _write_secret(path: Path, content: bytes) -> None:
 
 
 def read_password(path: str | os.PathLike[str]) -> str:
-    """Return the password in a file that only its owner may read.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return the password in a file that only its owner may read."""
     password = _parsed(path, "text", lambda content: content.decode().strip(), secret=True)
     if not password:
         raise FormatError("holds no password", remedy="write one line", path=path)
@@ -100,12 +90,7 @@ def read_password(path: str | os.PathLike[str]) -> str:
 
 
 def read_private_key(path: str | os.PathLike[str]) -> RSAPrivateKey:
-    """Return the private key in a PEM file that only its owner may read.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return the private key in a PEM file that only its owner may read."""
 
     def parse(content: bytes) -> RSAPrivateKey:
         key = load_pem_private_key(content, password=None)
@@ -117,12 +102,7 @@ def read_private_key(path: str | os.PathLike[str]) -> RSAPrivateKey:
 
 
 def read_certificate(path: str | os.PathLike[str]) -> x509.Certificate:
-    """Return a certificate (DER or PEM) that is valid today.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return a certificate (DER or PEM) that is valid today."""
 
     def parse(content: bytes) -> x509.Certificate:
         if content.startswith(b"-----"):
@@ -141,16 +121,15 @@ def read_certificate(path: str | os.PathLike[str]) -> x509.Certificate:
 
 
 def read_trusted(folder: str | os.PathLike[str]) -> frozenset[bytes]:
-    """Return the certificates (DER) of the clients that may come.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return the certificates (DER) of the clients that may come."""
     try:
         files = sorted(Path(folder).iterdir())
     except OSError as error:
-        raise _unreadable(error, folder) from error
+        raise UnreadableFile(
+            f"cannot be read ({error.strerror or error})",
+            remedy="check its name; `truenewton serve` makes keys in a folder that does not exist",
+            path=folder,
+        ) from error
     return frozenset(read_certificate(file).public_bytes(Encoding.DER) for file in files)
 
 
@@ -173,11 +152,3 @@ def _parsed(
         raise FormatError(
             f"is not {what}", remedy="name another file, or make new keys", path=path
         ) from error
-
-
-def _unreadable(error: OSError, path: Any) -> UnreadableFile:
-    return UnreadableFile(
-        f"cannot be read ({error.strerror or error})",
-        remedy="check its name; `truenewton serve` makes keys in a folder that does not exist",
-        path=path,
-    )

@@ -52,6 +52,7 @@ ALIKE: dict[ua.VariantType, tuple[type, ...]] = {  # in Python, by the types of 
     Type.Double: (float, int),
     Type.DateTime: (datetime.datetime,),
 }
+MAX_MESSAGE = 2 * 2**20  # of 50,000 actuators [bytes]
 LONGEST_TEXT = 1000  # characters; of a longer one the beginning counts
 COLUMNS = ("Id", "X", "Y", "Nz", "Enabled")  # of the layout
 ARRAYS = {Type.Boolean: np.bool_, Type.Int64: np.int64, Type.Double: np.float64}
@@ -77,13 +78,7 @@ def _sent(value: Any, kind: Any) -> Any:
 
 
 def received(name: str, value: Any, kind: Any) -> Any:
-    """Return a value as a server sent it, of its declared kind; an array of numbers as numpy's.
-
-    Raises
-    ------
-    BenchFault
-        It is of another kind.
-    """
+    """Return a value as a server sent it; an array of numbers as numpy's. Refuse another kind."""
     type_, array = scalar(kind), isinstance(kind, list)
     values = ([] if value is None else value) if array else [value]
     good = isinstance(values, list) and all(
@@ -105,13 +100,7 @@ def received(name: str, value: Any, kind: Any) -> Any:
 
 
 def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any]]:
-    """Return the fault of a method, no text or its parts, and what it gives where it has none.
-
-    Raises
-    ------
-    BenchFault
-        A server sent something else.
-    """
+    """Return the fault of a method, no text or its parts, and what it gives where it has none."""
     fault = received("Fault", values[0] if values else None, [Type.String])
     given, declared = values[1:], METHODS[method][1]
     if fault:
@@ -134,13 +123,7 @@ def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any
 def mirror_of(
     values: dict[str, Any], methods: Collection[str]
 ) -> tuple[str, float, tuple[float | None, float | None], Layout]:
-    """Return instrument, gap [m], gradients and layout by the nodes that a server has.
-
-    Raises
-    ------
-    TrueNewtonError
-        A node is missing, or holds what it may not.
-    """
+    """Return instrument, gap [m], gradients and layout by the nodes that a server has."""
     for name in (*dict(VARIABLES), *METHODS):
         if name not in OPTIONAL and name not in values and name not in methods:
             raise BenchFault(f"has no node Bench.{name}", remedy="add it, in urn:truenewton:bench")

@@ -8,19 +8,29 @@ Gradients, Id, X, Y, Nz, Enabled and the methods PutOn, Command, Read, Status, R
 from __future__ import annotations
 
 import contextlib
+import hmac
 import os
 import socket
 import threading
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from asyncua import Server, ua
+from asyncua.common.connection import TransportLimits
+from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.server.internal_server import InternalServer
 
 from truenewton.bench.opcua import keys
-from truenewton.bench.opcua.door import ClosedServer, KnownClients
-from truenewton.bench.opcua.methods import METHODS, VARIABLES, Type, scalar, variants
+from truenewton.bench.opcua.methods import (
+    MAX_MESSAGE,
+    METHODS,
+    VARIABLES,
+    Type,
+    scalar,
+    variants,
+)
 from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.load import Load
@@ -29,26 +39,49 @@ PORT = 4840  # registered for OPC UA
 
 
 class ServedBench(Bench, Operator, Protocol):
-    """A bench that can be told which load to bear."""
+    """A bench on which loads can be put by a command."""
 
 
 def check_port(port: int) -> None:
-    """Refuse a port that cannot be had, before anything is made for it.
-
-    Raises
-    ------
-    BenchFault
-    """
-    try:
+    """Refuse a port that cannot be had, before anything is made for it."""
+    with _port_faults(port):
         socket.create_server(("127.0.0.1", port)).close()
+
+
+@contextlib.contextmanager
+def _port_faults(port: int) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
-        raise _not_had(port, error) from error
+        reason = os.strerror(error.errno or 0)
+        raise BenchFault(
+            f"port {port} cannot be had ({reason})", remedy="choose another port", got=port
+        ) from error
 
 
-def _not_had(port: int, error: OSError) -> BenchFault:
-    reason = os.strerror(error.errno or 0)
-    remedy = "choose another port"
-    return BenchFault(f"port {port} cannot be had ({reason})", remedy=remedy, got=port)
+class _KnownClients:
+    """Admits the holder of a trusted certificate (DER) who also has user and password."""
+
+    def __init__(self, trusted: frozenset[bytes], password: str) -> None:
+        self._trusted, self._password = trusted, password.encode()
+
+    def get_user(
+        self,
+        _server: InternalServer,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: bytes | None = None,
+    ) -> User | None:
+        """Return the user, or None; the certificate is that with which the channel was opened."""
+        right = hmac.compare_digest((password or "").encode(), self._password)
+        if right and username == keys.USER and certificate in self._trusted:
+            return User(role=UserRole.User, name=username)
+        return None
+
+
+class _InternalServer(InternalServer):
+    def lookup_external_session(self, auth_token: ua.NodeId) -> None:
+        """Find no session of another connection: asyncua 2.1 would hand it over unchecked."""
 
 
 @contextlib.asynccontextmanager
@@ -57,37 +90,26 @@ async def serving(
 ) -> AsyncIterator[str]:
     """Serve a bench at 127.0.0.1 while the block lasts, and give its address.
 
-    Parameters
-    ----------
-    bench
-        Never called twice at once.
-    folder
-        Of the keys that `keys.make_keys` made.
-    port
-        TCP port.
-
-    Raises
-    ------
-    BenchFault
-        The port is taken or may not be had.
-    UnreadableFile, FormatError
-        Keys that cannot be used.
+    The folder contains keys, as `keys.make_keys` makes them. The bench is never called twice at
+    once. A port that is taken is a `BenchFault`.
     """
     folder = Path(folder)
     certificate = keys.read_certificate(folder / keys.SERVER_CERTIFICATE)
     private = keys.read_private_key(folder / keys.SERVER_KEY)
     trusted = keys.read_trusted(folder / keys.TRUSTED)
     password = keys.read_password(folder / keys.PASSWORD)
-    server = ClosedServer(KnownClients(trusted, keys.USER, password), certificate, private)
+    server = Server(_InternalServer(user_manager=_KnownClients(trusted, password)))
+    server.iserver.certificate, server.iserver.private_key = certificate, private
+    server.limits = TransportLimits(max_message_size=MAX_MESSAGE)
     await server.init()
     await server.set_application_uri(keys.SERVER_URI)
+    server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+    server.set_identity_tokens([ua.UserNameIdentityToken])
     server.set_server_name(f"truenewton {bench.instrument}")
     server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
     await _publish(server, bench)
-    try:
+    with _port_faults(port):
         await server.start()
-    except OSError as error:
-        raise _not_had(port, error) from error
     try:
         yield server.endpoint.geturl()
     finally:
@@ -129,8 +151,8 @@ def _argument(name: str, kind: Any) -> ua.Argument:
 class _Methods:
     """The methods of the node, one at a time; each raises what the bench raises.
 
-    A server that was started anew does not know what hangs on the mirror: it takes no shape until
-    it was told, so that no row is taken under another load than its file says.
+    A server that was started anew does not know which load is on the mirror. It takes no shape
+    before `PutOn`, so that no row is taken under another load than its file says.
     """
 
     def __init__(self, bench: ServedBench) -> None:

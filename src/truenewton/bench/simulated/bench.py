@@ -1,4 +1,4 @@
-"""The simulated bench behind the same door as hardware; the truth stays inside."""
+"""The simulated bench, with the methods of any other; the truth stays inside."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SimulatedBench:
         Decides everything random. The noise of a reading depends on it and on load, cycle, number
         and sign of the shape only: readings can be taken again in any order.
     loads
-        Those that can be put on, as declared; the bare mirror and its own tool unless told.
+        Those that can be put on, as declared; by default the bare mirror and its own tool.
     force_noise
         Standard deviation of one commanded-force reading of 2,048 samples [N]; a closed loop has
         its own.

@@ -29,19 +29,12 @@ SEEDS = 1000  # of one mirror: more segments than that would share their noise
 class SegmentedBench:
     """A mirror in segments, each with its truth and its plan of shapes.
 
-    Attributes
-    ----------
-    mirror
-        What is known of it.
-    benches
-        Of its segments, with as many shapes each; where a segment has fewer, its first ones again.
-    seed
-        Decides everything random; segment k has that of `seed_of`.
+    All have as many shapes; a segment with fewer takes its first ones again.
     """
 
     mirror: SegmentedMirror
     benches: tuple[StaticBench, ...]
-    seed: int
+    seed: int  # segment k has that of `seed_of`
 
     @property
     def shapes(self) -> Array:
@@ -57,23 +50,7 @@ def seed_of(seed: int, number: int) -> int:
 def segmented_bench(
     mirror: SegmentedMirror, seed: int, *, force_noise: float, temperature: float
 ) -> SegmentedBench:
-    """Draw the truth of each segment, under the bare mirror and its own tool, as `static_bench`.
-
-    Parameters
-    ----------
-    mirror
-        What is known of it.
-    seed
-        Decides everything random.
-    force_noise
-        Standard deviation of one commanded-force reading [N].
-    temperature
-        Of magnets and coils [deg C].
-
-    Raises
-    ------
-    GeometryError, LimitExceeded
-    """
+    """Draw the truth of each segment, under the bare mirror and its own tool, as `static_bench`."""
     glasses: dict[int, HeldGlass] = {}
     for part, alike in mirror.kinds:
         glasses |= dict.fromkeys(alike, held_glass(part))
@@ -109,11 +86,7 @@ def campaign_on(
 ) -> Iterator[Cycle]:
     """Return the cycles of a campaign on a bench, as `run_cycles`; 'loop' closes the loop.
 
-    Raises
-    ------
-    BenchFault
-        A mirror in segments in closed loop, which is not simulated.
-    LoopUnstable
+    A mirror in segments is not simulated in closed loop.
     """
     if isinstance(bench, StaticBench):
         return run_cycles(bench, cycles, loop_of(bench) if fidelity == "loop" else None)
@@ -154,12 +127,12 @@ def truth_of(bench: StaticBench | SegmentedBench) -> Truth:
     truths = [one.truth for one in bench.benches]
     widest = max(len(truth.alpha) for truth in truths)
     padded = [np.pad(one.stiffness, ((0, 0), (0, widest - len(one.alpha)))) for one in truths]
+    places = [place.motion for place in bench.mirror.places]
+    torques = np.array([_torques_about_axis(*each) for each in zip(truths, places, strict=True)])
     segments = [
-        SegmentTruth(k, name, truth.weight, float(truth.added[i]), truth.bias_force, *torques)
-        for k, (truth, place) in enumerate(zip(truths, bench.mirror.places, strict=True), 1)
-        for i, (name, torques) in enumerate(
-            zip(truth.loads, _torques_about_axis(truth, place.motion).tolist(), strict=True)
-        )
+        SegmentTruth(k, load, truth.weight, float(added), truth.bias_force, *torque)
+        for k, (truth, of_loads) in enumerate(zip(truths, torques.tolist(), strict=True), 1)
+        for load, added, torque in zip(truth.loads, truth.added, of_loads, strict=True)
     ]
     return replace(
         truths[0],
@@ -171,8 +144,8 @@ def truth_of(bench: StaticBench | SegmentedBench) -> Truth:
         weight=sum(truth.weight for truth in truths),
         added=np.sum([truth.added for truth in truths], axis=0),
         bias_force=sum(truth.bias_force for truth in truths),
-        torque_y=_by_load(segments, "torque_y"),
-        torque_x=_by_load(segments, "torque_x"),
+        torque_y=torques[..., 0].sum(axis=0),
+        torque_x=torques[..., 1].sum(axis=0),
         seed=bench.seed,
         segments=tuple(segments),
     )
@@ -184,12 +157,3 @@ def _torques_about_axis(truth: Truth, motion: Array) -> Array:
     load = external_load(weight, truth.bias_force, truth.torque_y, truth.torque_x)
     _, along_x, along_y = motion @ load.T
     return np.stack([along_x, -along_y], axis=1)
-
-
-def _by_load(segments: Sequence[SegmentTruth], name: str) -> Array:
-    """Return (L,) sums over the segments, loads in the order of the first one."""
-    loads = [segment.load for segment in segments if segment.number == 1]
-    return np.array([
-        sum(getattr(segment, name) for segment in segments if segment.load == load)
-        for load in loads
-    ])  # fmt: skip

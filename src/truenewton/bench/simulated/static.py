@@ -16,13 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
-from truenewton.bench.simulated.control import Control
-from truenewton.bench.simulated.loop import Loop, equilibrium
-from truenewton.bench.simulated.noise import LOOP, SAMPLES, STATIC, row_noise
-from truenewton.bench.simulated.record import Record, record
-from truenewton.bench.simulated.sensors import Sensors, draw_sensors
-from truenewton.bench.simulated.stability import check_stability
+from truenewton.quantities import taking_units
+from truenewton.bench.simulated.electronics import (
+    REFERENCE_TEMPERATURE,
+    SAMPLES,
+    Coils,
+    Control,
+    Sensors,
+    draw_sensors,
+    gain,
+)
+from truenewton.bench.simulated.loop import (
+    LOOP_STREAM,
+    STATIC_STREAM,
+    Loop,
+    Record,
+    check_stability,
+    equilibrium,
+    record,
+    row_noise,
+)
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
@@ -36,7 +49,6 @@ from truenewton.mirrors.shell.held_glass import (
     weight_on,
 )
 from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
-from truenewton.quantities import taking_units
 from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
 from truenewton.statics.modes import scaled_modes, stiffness_modes
@@ -102,7 +114,7 @@ def static_bench(
         Decides everything random: alpha, the bias magnets, sensors, the true weights within their
         errors, how the tool is centred, the noise.
     loads
-        The loads as declared; without and with the mirror's own tool unless told.
+        The loads as declared; by default without and with the mirror's own tool.
     stroke
         Largest displacement of an actuator [m].
     force_limit
@@ -132,9 +144,8 @@ def static_bench(
     alpha = random.uniform(*mirror.alpha_range, n)
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
-    added, tilt = _true_loads(loads, random)
     glass = glass or held_glass(mirror)
-    external = _hung(mirror, weight, added, tilt, bias, random)
+    added, tilt, external = _drawn_loads(mirror, loads, weight, bias, random)
     load_force = np.array([forces_under(glass, each) for each in external])
     k = np.array([external_resultants(mirror, each) for each in external])
     coils = Coils(alpha, bias_gradient=mirror.bias_gradient,
@@ -163,16 +174,21 @@ def static_bench(
     return StaticBench(mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise)
 
 
-def _hung(
-    mirror: Mirror, weight: float, added: Array, tilt: Array, bias: Array,
-    random: np.random.Generator,
-) -> list[ExternalForces]:  # fmt: skip
-    """Return what acts on the glass under each load, the tool a little off its place."""
+def _drawn_loads(
+    mirror: Mirror, loads: Sequence[Load], weight: float, bias: Array, random: np.random.Generator
+) -> tuple[Array, Array, list[ExternalForces]]:
+    """Return (L,) true Q [N] and tilt [deg], and what acts on the glass, the tool off its place.
+
+    One tool errs alike wherever it hangs.
+    """
+    error = {load.tool or load.key: random.standard_normal() for load in loads}
+    added = [load.added + load.added_error * error[load.tool or load.key] for load in loads]
+    tilt = [load.tilt + load.tilt_error * random.standard_normal() for load in loads]
     external = []
     for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):
         centre = random.normal(0.0, CENTRING_ERROR, 2)
         external.append(weight_on(mirror, weight, q, cosine=cosine, off_centre=centre, bias=bias))
-    return external
+    return np.array(added), np.array(tilt), external
 
 
 def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:
@@ -202,22 +218,8 @@ def _room_for_shapes(
     return np.asarray(room)
 
 
-def _true_loads(loads: Sequence[Load], random: np.random.Generator) -> tuple[Array, Array]:
-    """Return (L,) true Q [N] and tilt [deg]; one tool errs alike wherever it hangs."""
-    error = {load.tool or load.key: random.standard_normal() for load in loads}
-    added = [load.added + load.added_error * error[load.tool or load.key] for load in loads]
-    tilt = [load.tilt + load.tilt_error * random.standard_normal() for load in loads]
-    return np.array(added), np.array(tilt)
-
-
 def loop_of(bench: StaticBench) -> Loop:
-    """Close the loop around the glass of a bench, its feed-forward as a calibration gives it.
-
-    Raises
-    ------
-    LoopUnstable
-        The gains do not hold it.
-    """
+    """Close the loop around the glass of a bench, its feed-forward as a calibration gives it."""
     shapes = static_shapes(bench.glass)
     mass, pucks = moving_mass(bench.glass, shapes)
     # M z'' + C z' + K~ z = S' f, in terms of f
@@ -266,7 +268,7 @@ def take(
 
     The labels of each row, key of the load, cycle, shape and sign, decide its noise.
     """
-    stream = STATIC if loop is None else LOOP
+    stream = STATIC_STREAM if loop is None else LOOP_STREAM
     noise = [row_noise(bench.truth.seed, *label, stream) for label in labels]
     if loop is not None:
         load_force = bench.load_force[load_index, :, None]
@@ -288,7 +290,7 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
     """Yield the cycles of a campaign: every shape and its negative, under each load in turn.
 
     In a loop, from `loop_of`, all shapes of a cycle go together, a row that has not settled is
-    marked as not valid, and what noise the forces have is left to their repeats to tell.
+    marked as not valid, and the noise of the forces is left to be found from their repeats.
 
     Parameters
     ----------

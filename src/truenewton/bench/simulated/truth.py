@@ -15,24 +15,14 @@ from truenewton.statics.layout import Layout
 
 
 class SegmentTruth(NamedTuple):
-    """The true values of one segment under one load.
+    """The true values of one segment under one load."""
 
-    Attributes
-    ----------
-    number, load
-        Of the segment, and the name of the load.
-    weight, added, bias_force
-        True P, Q and B [N].
-    torque_y, torque_x
-        M_y and M_x about the origin of the mirror [N m].
-    """
-
-    number: int
+    number: int  # of the segment
     load: str
-    weight: float
-    added: float
-    bias_force: float
-    torque_y: float
+    weight: float  # P [N]
+    added: float  # Q [N]
+    bias_force: float  # B [N]
+    torque_y: float  # about the origin of the mirror [N m]
     torque_x: float
 
 

@@ -13,25 +13,30 @@ from functools import partial
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.effects.derivative import Derivative, OfEach, without_direction
-from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.effects.narrowed import about_mean, of_single
+from truenewton.estimation.effects.derivative import (
+    Derivative,
+    FittedRows,
+    OfEach,
+    without_direction,
+)
 from truenewton.estimation.effects.readings import (
     GAIN,
     ZERO,
     Field,
     OnReadings,
     RowFunctions,
+    about_mean,
     always,
     of_all,
     of_each,
+    of_single,
     on_readings,
     row_functions,
 )
 from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
+from truenewton.estimation.readings.moments import Moments, WithinGroups
 
 # By which rows of one group differ.
 WITHIN = {
@@ -45,8 +50,8 @@ WITHIN = {
     Code.ZERO_BY_FILE_OF_EACH,
     Code.LOAD_REPOSITIONED,
 }
-AT_ONCE = 64  # actuators whose parameters are judged together
-ONLY = slice(0, 1)  # of one function
+ACTUATORS_AT_ONCE = 64  # actuators whose parameters are judged together
+FIRST_FUNCTION = slice(0, 1)  # of one function
 
 
 @dataclass(frozen=True)
@@ -158,7 +163,7 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     return (of_each if each else of_all)(fit, _zero(fit), _files(within))
 
 
-def put_on_anew(fit: FittedRows) -> Derivative | None:
+def load_repositioned(fit: FittedRows) -> Derivative | None:
     """Move forces at rest from file to file, but not their sum: a load stands elsewhere.
 
     As the zeros of each, less the direction that moves the sum: with it the scale would be lost.
@@ -185,8 +190,8 @@ def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
         c = at.recorded(some)
         return -c * (c if power == 2 else c * c)
 
-    found = _once(fit, Field(f"power {power}", bent), always(fit.moments), ONLY)
-    return (of_each if each else of_all)(fit, found, ONLY)
+    found = _once(fit, Field(f"power {power}", bent), always(fit.moments), FIRST_FUNCTION)
+    return (of_each if each else of_all)(fit, found, FIRST_FUNCTION)
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
@@ -195,7 +200,7 @@ def coil_gradient(fit: FittedRows) -> Derivative | None:
     if z is None:
         return None
     field = Field("gradient", lambda at, some: -at.recorded(some) * z[:, some])
-    return of_all(fit, on_readings(fit, always(fit.moments), field), ONLY)
+    return of_all(fit, on_readings(fit, always(fit.moments), field), FIRST_FUNCTION)
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:
@@ -261,8 +266,8 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
 def parts_of_positions(fit: FittedRows) -> Iterator[Derivative]:
     """Yield the derivatives by the positions of some actuators after the other."""
     n = fit.problem.n
-    for start in range(0, n, AT_ONCE):
-        yield positions(fit, slice(start, min(start + AT_ONCE, n)))
+    for start in range(0, n, ACTUATORS_AT_ONCE):
+        yield positions(fit, slice(start, min(start + ACTUATORS_AT_ONCE, n)))
 
 
 def on_balance(fit: FittedRows, change: Array) -> Derivative:
@@ -307,7 +312,7 @@ ZEROS_OF_EACH = Effect(
 LOAD_REPOSITIONED = Effect(
     Code.LOAD_REPOSITIONED,
     "N",
-    put_on_anew,
+    load_repositioned,
     "put loads on at the same place each time",
     "file",
 )

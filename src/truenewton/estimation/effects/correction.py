@@ -17,18 +17,17 @@ import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.effects.catalogue import Effect
-from truenewton.estimation.effects.derivative import scored
-from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.effects.derivative import FittedRows, scored
+from truenewton.estimation.findings.estimate import NoiseSource
+from truenewton.estimation.likelihood.minimum import Minimum
 from truenewton.estimation.problem import Problem
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.screening.noise import reading_noise
 
-STEPS = 30
-MOST_PARAMETERS = 10_000  # a matrix of which takes 0.8 GB, and there are some of them
-SMALL = 1e-4  # squared step in standard errors at which theta has settled
+MAX_CORRECTION_STEPS = 30
+MAX_CORRECTED_PARAMETERS = 10_000  # a matrix of which takes 0.8 GB, and there are some of them
+SETTLED_SQUARED_STEP = 1e-4  # squared step in standard errors at which theta has settled
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class Correction:
     ----------
     effect
         What was taken out.
-    theta, covariance, told
+    theta, covariance, effective_parameters
         (k,) its parameters, their (k, k) covariance, and how many the data tell: nu.
     problem, moments, minimum
         The data without it and their fit, whose covariance has what the effect's error adds.
@@ -48,7 +47,7 @@ class Correction:
     effect: Effect
     theta: Array
     covariance: Array
-    told: float
+    effective_parameters: float
     problem: Problem
     moments: Moments
     minimum: Minimum
@@ -57,24 +56,26 @@ class Correction:
 def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     """Estimate an effect together with alpha; None where that does not settle, or is too large."""
     first = effect.derivative(fit)
-    if first is None or first.count > MOST_PARAMETERS:
+    if first is None or first.count > MAX_CORRECTED_PARAMETERS:
         return None
     result, theta = scored(fit, first), np.zeros(first.count)
     # A first spread from the score itself: U U' = V of the effect, on the average.
     size = np.trace(result.variance) / np.sum(result.variance**2)
     tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
     at, derivative, settled = fit, first, False
-    for _ in range(STEPS):
+    for _ in range(MAX_CORRECTION_STEPS):
         inverse = _inverse(result.information + np.eye(len(theta)) / tau2)
         if inverse is None:
             return None
         uphill = result.score + theta / tau2
-        told = float(np.sum(1.0 - np.diag(inverse) / tau2))
-        if settled and float(uphill @ inverse @ uphill) < SMALL:
+        effective_parameters = float(np.sum(1.0 - np.diag(inverse) / tau2))
+        if settled and float(uphill @ inverse @ uphill) < SETTLED_SQUARED_STEP:
             minimum = with_error(at, result.moves, inverse)
-            return Correction(effect, theta, inverse, told, at.problem, at.moments, minimum)
+            return Correction(
+                effect, theta, inverse, effective_parameters, at.problem, at.moments, minimum
+            )
         theta = theta - inverse @ uphill
-        before, tau2 = tau2, max(float(theta @ theta) / max(told, 1e-3), 1e-300)
+        before, tau2 = tau2, max(float(theta @ theta) / max(effective_parameters, 1e-3), 1e-300)
         settled = abs(np.log(before / tau2)) < 1e-2
         problem, moments = derivative.remove(fit.problem, fit.moments, theta)
         problem = _with_noise_anew(problem, moments)

@@ -1,4 +1,8 @@
-"""A fit examined: which effects the data show, which were taken out, and what is left.
+"""What is left of data and their fit after effects were looked for, and how well it fits.
+
+What is left after effects were looked for, and what differs between loads.
+
+A fit examined: which effects the data show, which were taken out, and what is left.
 
 The likeliest effect is estimated together with alpha, then the catalogue tested again, four times
 at most. It is accepted only if it cures: the balance of the shapes and their repetition over loads
@@ -8,35 +12,149 @@ Where nothing cures, nothing is taken out, and the errors grow by what does not 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.chance import chi2_cdf
+from truenewton.chance import FALSE_ALARM, chi2_cdf, chi2_sf, f_sf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.effects.catalogue import LOAD_REPOSITIONED, ZEROS_OF_EACH
 from truenewton.estimation.effects.correction import Correction, correction
-from truenewton.estimation.effects.examined import Examined
-from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.effects.score_test import EffectTest, named
-from truenewton.estimation.effects.shared_noise import beside_shared_noise
-from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
+from truenewton.estimation.effects.derivative import FittedRows
+from truenewton.estimation.effects.score_test import (
+    EffectTest,
+    UnknownForce,
+    beside_shared_noise,
+    disturbed,
+    named,
+    unknown_force,
+)
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import ErrorKind, ScaleError
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.likelihood.minimum import Minimum
 from truenewton.estimation.problem import Problem
-from truenewton.estimation.structure import Structure, structure_of
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.screening.noise import (
+    MIN_FIT_PROBABILITY,
+    Noise,
+    Structure,
+    structure_of,
+)
+from truenewton.records.campaign import Campaign, load_temperatures
 
-MOST = 4  # effects at once
-MOST_FORCES = 2  # actuators at which forces come and go: three can make any imbalance
-ROUNDS = 4  # for the size of each
-NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
-SEEN = 0.5  # of tau^2: so much of a spread of zeros the data must show
-ALIKE = 0.85  # of the logarithm of the smallest probability: effects about as likely
+
+@dataclass(frozen=True, eq=False)
+class ExaminedFit:
+    """What is left after effects were looked for.
+
+    Attributes
+    ----------
+    problem, moments, minimum
+        The data without the effects that were taken out, and their fit.
+    effective_parameters
+        How many of their parameters the balance had to tell.
+    effects
+        Those named, the likeliest first.
+    structure
+        How well shapes repeat over loads and signs; None where that was not asked.
+    correlated
+        Whether noise hangs together from row to row, so that shapes may balance too well.
+    explained
+        Whether what was named but not taken out would make it fit.
+    """
+
+    problem: Problem
+    moments: Moments
+    minimum: Minimum
+    effective_parameters: float = 0.0
+    effects: tuple[Finding, ...] = ()
+    structure: Structure | None = None
+    correlated: bool = False
+    explained: bool = False
+
+    @property
+    def probability(self) -> float:
+        """Chance of a larger chi^2 of the balance."""
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
+        return chi2_probability(self.minimum.chi2, freedom, self.problem.noise)
+
+    @property
+    def too_well(self) -> bool:
+        """Whether the shapes balance better than their noise lets expect."""
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
+        if freedom <= 0:
+            return False
+        return (
+            chi2_probability(self.minimum.chi2, freedom, self.problem.noise)
+            > 1.0 - MIN_FIT_PROBABILITY
+        )
+
+    @property
+    def fits(self) -> bool:
+        """Whether both the balance and the repetition of shapes fit."""
+        repeated = self.structure is None or self.structure.probability > MIN_FIT_PROBABILITY
+        return (
+            self.probability > MIN_FIT_PROBABILITY
+            and repeated
+            and (self.correlated or not self.too_well)
+        )
+
+    @property
+    def excess(self) -> float:
+        """By how much the variance of what is left is larger than the noise says, if at all."""
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
+        balance = self.minimum.chi2 / max(freedom, 1.0)
+        return max(1.0, balance, self.structure.reduced if self.structure else 1.0)
+
+
+def chi2_probability(chi2: float, freedom: float, noise: Noise) -> float:
+    """Return how often chance makes chi^2 as large, the noise being known only so well."""
+    if freedom <= 0:
+        return 1.0
+    if np.isinf(noise.share_freedom):
+        return float(chi2_sf(chi2, freedom))
+    return float(f_sf(chi2 / freedom, freedom, noise.share_freedom))
+
+
+def misfit_findings(left: ExaminedFit) -> Iterator[Finding]:
+    """Yield that the model does not fit, and by how much errors grew for it."""
+    if left.fits:
+        return
+    if left.explained:
+        yield Finding.of(Code.MISFIT_EXPLAINED)
+    elif left.excess > 1.0:
+        yield Finding.of(Code.MISFIT, factor=float(np.sqrt(left.excess)))
+    elif left.too_well and left.structure is not None:
+        yield Finding.of(Code.FIT_TOO_GOOD)
+
+
+def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iterator[Finding]:
+    """Name a temperature that differs between loads by more than the readings leave open."""
+    relative = {line.source.kind: line.relative for line in scale_errors}
+    if relative.get(ErrorKind.BETWEEN_LOADS, 0.0) <= relative.get(ErrorKind.READINGS, np.inf):
+        return
+    yield Finding(
+        code=Code.TEMPERATURE_BETWEEN_LOADS,
+        size=float(np.ptp(load_temperatures(campaign))),
+        unit="K",
+        remedy="keep the temperature, or take bare and loaded cycles in turn; if it was kept, check"
+        " TEMPERATURE and its unit",
+    )
+
+
+MAX_EFFECTS = 4  # effects at once
+MAX_UNKNOWN_FORCES = 2  # actuators at which forces come and go: three can make any imbalance
+SIZE_ROUNDS = 4  # for the size of each
+MAX_REDUCED_CHI2 = (
+    2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
+)
+MIN_SEEN_SPREAD = 0.5  # of tau^2: so much of a spread of zeros the data must show
+SIMILAR_LOG_PROBABILITY = (
+    0.85  # of the logarithm of the smallest probability: effects about as likely
+)
 
 
 def examined(
@@ -45,7 +163,7 @@ def examined(
     minimum: Minimum,
     structure: Structure | None,
     samples: Sequence[Array],
-) -> Examined:
+) -> ExaminedFit:
     """Look for effects in data and their fit, and take out those that cure.
 
     Parameters
@@ -57,14 +175,14 @@ def examined(
     samples
         Deviations of some rows from their repeats, in parts of (m, n) [N].
     """
-    plain = Examined(problem, moments, minimum)
+    plain = ExaminedFit(problem, moments, minimum)
     if structure is None:
         return plain
     # What files or hours do to all readings looks like noise that they share, until it is out.
     unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)
     alone = replace(problem, noise=unshared, disturbance=0.0)
     if moments.pooled and not problem.dependent:
-        start: Examined | None = replace(plain, structure=structure)  # fitted so already
+        start: ExaminedFit | None = replace(plain, structure=structure)  # fitted so already
     else:
         start = _pooled(alone, moments, minimum, structure)
     if start is None:
@@ -104,26 +222,26 @@ def examined(
 
 def _pooled(
     problem: Problem, moments: Moments, minimum: Minimum, structure: Structure
-) -> Examined | None:
+) -> ExaminedFit | None:
     """Return the fit to pooled rows, whether shapes repeat so or not; None where there is none."""
     pooled = replace(moments, pooled=True)
     try:
         fitted = problem.fitted(pooled, minimum.values)
     except (NotConverged, RankDeficient):
         return None
-    return Examined(problem, pooled, fitted, structure=structure)
+    return ExaminedFit(problem, pooled, fitted, structure=structure)
 
 
 def _cured(
-    start: Examined, *, independent: bool, samples: Sequence[Array], within: bool = False
-) -> tuple[Examined | None, Examined]:
+    start: ExaminedFit, *, independent: bool, samples: Sequence[Array], within: bool = False
+) -> tuple[ExaminedFit | None, ExaminedFit]:
     """Take out the likeliest effects until all fits; None where that fails.
 
     Also what came of the first effect named, where it could not be taken out. The first is one by
     which rows of one group differ, what they seemed to share, if ``within``.
     """
     now, first = start, start
-    for _ in range(MOST):
+    for _ in range(MAX_EFFECTS):
         fit = FittedRows(now.problem, now.moments, now.minimum, independent)
         found = named(fit)
         shared = within and not now.effects  # noise, or what such an effect does
@@ -158,10 +276,10 @@ def _cured(
     return (now if now.fits else None), first
 
 
-def _with_unknown_forces(now: Examined) -> Examined | None:
+def _with_unknown_forces(now: ExaminedFit) -> ExaminedFit | None:
     """Let forces come and go at some actuators until none stands out; None if little fits then."""
     found: dict[int, UnknownForce] = {}
-    for _ in range(MOST_FORCES * ROUNDS):
+    for _ in range(MAX_UNKNOWN_FORCES * SIZE_ROUNDS):
         fit = FittedRows(now.problem, now.moments, now.minimum, independent=False)
         force = unknown_force(fit)
         if force is None:
@@ -170,7 +288,7 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
         if before is not None:
             size = float(np.hypot(before.size, force.size))
             found[force.index] = replace(before, size=size)
-        elif len(found) == MOST_FORCES:
+        elif len(found) == MAX_UNKNOWN_FORCES:
             return None
         else:
             found[force.index] = force
@@ -180,7 +298,7 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
         except (NotConverged, RankDeficient):
             return None
         now = replace(now, problem=problem, minimum=minimum)
-    if not found or now.excess > NEARLY:
+    if not found or now.excess > MAX_REDUCED_CHI2:
         return None
     effects = tuple(
         Finding(
@@ -197,7 +315,7 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
     return replace(now, effects=(*now.effects, *effects))
 
 
-def _correlated(start: Examined, effects: tuple[Finding, ...]) -> Examined:
+def _correlated(start: ExaminedFit, effects: tuple[Finding, ...]) -> ExaminedFit:
     """Return the fit to noise that hangs together from row to row, as sure as zeros by file leave.
 
     Where it is slow each file has zeros of its own, which shapes do not feel but statics do.
@@ -214,7 +332,7 @@ def _correlated(start: Examined, effects: tuple[Finding, ...]) -> Examined:
     return replace(start, minimum=minimum, effects=(*effects, found))
 
 
-def _unsure(best: Examined, named_first: Examined) -> Minimum:
+def _unsure(best: ExaminedFit, named_first: ExaminedFit) -> Minimum:
     """Return the minimum, less sure by what it would move if the effect named were taken out."""
     t = min(len(best.minimum.reading_covariance), len(named_first.minimum.values))
     moved = (named_first.minimum.values - best.minimum.values)[:t]
@@ -226,7 +344,9 @@ def _unsure(best: Examined, named_first: Examined) -> Minimum:
 def _alike(found: list[EffectTest]) -> list[EffectTest]:
     """Return the likeliest effects, the one with the fewest parameters first; at most four."""
     best = found[0].log_probability
-    some = [test for test in found if test.log_probability <= ALIKE * best][:MOST]
+    some = [test for test in found if test.log_probability <= SIMILAR_LOG_PROBABILITY * best][
+        :MAX_EFFECTS
+    ]
     return sorted(some, key=lambda test: test.derivative.count)
 
 
@@ -241,13 +361,13 @@ def _as_mounting(
     if test.effect is not ZEROS_OF_EACH:
         return test, corrected
     n, theta, tau2 = fit.problem.n, corrected.theta, corrected.theta @ corrected.theta
-    tau2 /= max(corrected.told, 1.0)
+    tau2 /= max(corrected.effective_parameters, 1.0)
     along = fit.scaled_arms[0] / np.linalg.norm(fit.scaled_arms[0])
     sums = theta.reshape(-1, n) @ along
     known = corrected.covariance.reshape(len(sums), n, len(sums), n)
     spread = tau2 * np.eye(len(sums)) - np.einsum("kilj,i,j->kl", known, along, along)
     values, vectors = np.linalg.eigh(spread)
-    seen = values > SEEN * tau2
+    seen = values > MIN_SEEN_SPREAD * tau2
     chi2 = float(np.sum((vectors[:, seen].T @ sums) ** 2 / values[seen]))
     if not seen.any() or chi2_cdf(chi2, np.count_nonzero(seen)) > FALSE_ALARM:
         return test, corrected
@@ -256,23 +376,25 @@ def _as_mounting(
 
 
 def _after(
-    now: Examined,
+    now: ExaminedFit,
     fit: FittedRows,
     test: EffectTest,
     corrected: Correction,
     samples: Sequence[Array],
-) -> Examined:
+) -> ExaminedFit:
     """Return what is left after a correction."""
     structure = now.structure
     if structure is not None:
         structure = structure_of(corrected.moments, corrected.problem.noise, samples)
-    told = 0.0 if np.any(test.derivative.information) else corrected.told
+    effective_parameters = (
+        0.0 if np.any(test.derivative.information) else corrected.effective_parameters
+    )
     return replace(
         now,
         problem=corrected.problem,
         moments=corrected.moments,
         minimum=corrected.minimum,
-        told=now.told + told,
+        effective_parameters=now.effective_parameters + effective_parameters,
         effects=_with_one_more(now.effects, _found(fit, test, corrected)),
         structure=structure,
     )

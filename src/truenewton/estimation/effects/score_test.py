@@ -3,27 +3,58 @@
 With U_t and its covariance V of an effect at a fit without it (`derivative`): U' V^-1 U over the
 directions that the data hold, chi^2 of as many degrees of freedom, for few parameters; for many
 U' U, in units that make V's diagonal 1, against tr V chi^2(nu) / nu with nu = (tr V)^2 / tr V^2.
+
+Effects by which rows of one group differ, judged against noise that the readings of a row share.
+
+Such noise pushes the rows of a file one way by chance, and looks like zeros by file. Along the
+direction d of an effect that all actuators share, 1 of zeros, the forces at rest of gains, repeats
+scatter kappa times as much as independent readings would; less what the effect itself explains,
+
+    T / k against F(k, M - k),        T -> T (M - k) / max(M kappa - T, M - k),
+
+M the rows less the groups. Parameters of each actuator by themselves are as many as are
+independent, (tr C)^2 / tr C^2 in place of n, C the correlations of the readings (`structure`).
+
+A force that comes and goes at one actuator: friction, dust in its gap, a cable that pulls.
+
+At actuator i, of arms a_i, it adds a_i f_r to the imbalance of every row, f_r unknown. With
+u_i = S^-1/2 a_i / |S^-1/2 a_i| the rows S^-1/2 rho have along u_i
+
+    T_i = sum (u_i' S^-1/2 rho)^2,      R - u_i' (sum J H^-1 J') u_i  degrees of freedom,
+
+J in terms of S^-1/2. Where one stands out, S + tau^2 a_i a_i' takes the place of S, with tau^2 such
+that T_i is what chance lets expect; so the others are judged without what disturbs that one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.special
 
+from truenewton.arrays import Array
+from truenewton.chance import OF_EACH_KIND, chance_of_any, f_logsf
 from truenewton.estimation.effects.catalogue import CATALOGUE, Effect
-from truenewton.estimation.effects.derivative import Derivative, scored, variance_at_least
-from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.multiple_tests import OF_EACH_KIND
+from truenewton.estimation.effects.derivative import (
+    Derivative,
+    FittedRows,
+    scored,
+    variance_at_least,
+)
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.problem import Problem
+from truenewton.estimation.screening.noise import independent_readings
 
-FEW = 30  # parameters
-MANY = 2  # parameters of each actuator, beyond which the structure alone tells
-BLIND = 1e-6  # of the information that the data would hold, were all else known
+MAX_EXACT_PARAMETERS = 30  # parameters
+MAX_PARAMETERS_PER_ACTUATOR = (
+    2  # parameters of each actuator, beyond which the structure alone tells
+)
+MIN_INFORMATION_SHARE = 1e-6  # of the information that the data would hold, were all else known
 # The same where readings share noise: c^ is uncorrelated with rho only where that is no noise of
 # the readings, and what this adds to a score stands out in directions hardly seen.
-DISTURBED = 1e-2
+MIN_SHARE_WITH_SHARED_NOISE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +111,7 @@ def _derivatives(fit: FittedRows) -> Iterator[tuple[Effect, Derivative]]:
 
 
 def _blind(fit: FittedRows) -> float:
-    return DISTURBED if np.any(fit.problem.disturbance) else BLIND
+    return MIN_SHARE_WITH_SHARED_NOISE if np.any(fit.problem.disturbance) else MIN_INFORMATION_SHARE
 
 
 def surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
@@ -91,7 +122,7 @@ def surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
     end: as nu grows it grows first, then falls.
     """
     k = derivative.count
-    if not FEW < k <= MANY * fit.problem.n:
+    if not MAX_EXACT_PARAMETERS < k <= MAX_PARAMETERS_PER_ACTUATOR * fit.problem.n:
         return False
     at_least = variance_at_least(fit, derivative)
     if at_least is None:
@@ -106,7 +137,7 @@ def surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
 
 def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTest | None:
     """Test one effect; None where the data are blind to it."""
-    if derivative.count > MANY * fit.problem.n:
+    if derivative.count > MAX_PARAMETERS_PER_ACTUATOR * fit.problem.n:
         return _tested_by_structure(effect, derivative)
     result = scored(fit, derivative)
     blind = _blind(fit)
@@ -116,9 +147,9 @@ def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTe
     unit = 1.0 / np.sqrt(result.whole[seen])
     u = result.score[seen] * unit
     v = result.variance[np.ix_(seen, seen)] * unit[:, None] * unit
-    if len(u) <= FEW:
+    if len(u) <= MAX_EXACT_PARAMETERS:
         values, vectors = np.linalg.eigh(v)
-        held = values > max(1e2 * BLIND * values[-1], blind)
+        held = values > max(1e2 * MIN_INFORMATION_SHARE * values[-1], blind)
         if not held.any():
             return None
         statistic = float(np.sum((vectors[:, held].T @ u) ** 2 / values[held]))
@@ -136,7 +167,7 @@ def _tested_by_structure(effect: Effect, derivative: Derivative) -> EffectTest |
         return None
     blocks = np.moveaxis(information, 2, 0)
     values, vectors = np.linalg.eigh(blocks)
-    held = values > 1e2 * BLIND * values.max()
+    held = values > 1e2 * MIN_INFORMATION_SHARE * values.max()
     along = np.einsum("nab,an->nb", vectors, score.reshape(information.shape[1:]))
     statistic = float(np.sum(along[held] ** 2 / values[held]))
     freedom = float(np.count_nonzero(held))
@@ -150,3 +181,87 @@ def log_chance(chi2: float, freedom: float) -> float:
         return float(np.log(chance))
     half = 0.5 * freedom  # the first term of the incomplete Gamma function's expansion
     return float((half - 1.0) * np.log(0.5 * chi2) - 0.5 * chi2 - scipy.special.gammaln(half))
+
+
+def beside_shared_noise(
+    found: Sequence[EffectTest], fit: FittedRows, samples: Sequence[Array]
+) -> list[EffectTest]:
+    """Return those by which rows of one group differ, and that are there beside such noise.
+
+    In their order: which is the likeliest, noise that is independent tells.
+
+    ``samples`` as in `structure.structure_of`, (m, n) [N].
+    """
+    some = [test for test in found if test.effect.within]
+    judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
+    codes = {test.effect.code for test in there(judged)}
+    return [test for test in some if test.effect.code in codes]
+
+
+def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
+    n, variance = fit.problem.n, fit.problem.noise.variance
+    statistic, freedom = test.statistic, test.degrees_of_freedom
+    if test.derivative.count >= n or test.derivative.actuators is not None:
+        share = independent_readings([samples], n) / n
+        chance = log_chance(share * statistic, share * freedom)
+        return replace(test, log_probability=chance)
+    gain = test.effect.code in (Code.GAIN_BY_HOUR, Code.GAIN_BY_FILE)
+    weights = (fit.fitted().mean(axis=0) if gain else np.ones(n)) / variance
+    kappa = float(np.mean((samples @ weights) ** 2) / np.sum(weights**2 * variance))
+    left = fit.moments.repeats - freedom
+    rest = max(kappa * fit.moments.repeats - statistic, left)
+    ratio = statistic / freedom * left / rest
+    return replace(test, log_probability=float(f_logsf(ratio, freedom, left)))
+
+
+@dataclass(frozen=True)
+class UnknownForce:
+    """Where a force comes and goes.
+
+    Attributes
+    ----------
+    index, actuator
+        Among the enabled; its ID.
+    log_probability
+        Logarithm of the chance that any actuator stands out so far.
+    size
+        tau, root mean square force at one row of weight 1 [N].
+    """
+
+    index: int
+    actuator: int
+    log_probability: float
+    size: float
+
+
+def unknown_force(fit: FittedRows) -> UnknownForce | None:
+    """Return the actuator at which an unknown force stands out; None if there is none."""
+    pulled = fit.root @ fit.problem.a
+    square = np.sum(pulled**2, axis=0)
+    towards = pulled / np.sqrt(square)
+    rows = fit.white_rho.reshape(-1, 3)
+    statistic = np.sum((rows @ towards) ** 2, axis=0)
+    solved = fit.half_solved(fit.white_jacobian)
+    by_row = solved.T.reshape(len(rows), 3, -1)
+    taken = np.einsum("rak,rbk->ab", by_row, by_row, optimize=True)
+    freedom = np.maximum(len(rows) - np.einsum("an,ab,bn->n", towards, taken, towards), 1.0)
+    chances = np.array([log_chance(*pair) for pair in zip(statistic, freedom, strict=True)])
+    worst = int(chances.argmin())
+    chance = float(chances[worst])
+    if chance_of_any(float(np.exp(chance)), len(chances)) >= OF_EACH_KIND:
+        return None
+    excess = float(statistic[worst] / freedom[worst]) - 1.0
+    ids = fit.problem.campaign.layout.id[fit.problem.campaign.layout.enabled]
+    return UnknownForce(
+        worst,
+        int(ids[worst]),
+        chance + float(np.log(len(chances))),
+        float(np.sqrt(max(excess, 0.0) / square[worst])),
+    )
+
+
+def disturbed(problem: Problem, force: UnknownForce) -> Problem:
+    """Return the problem with an unknown force at an actuator."""
+    arm = problem.a[:, force.index]
+    added = force.size**2 * np.outer(arm, arm)
+    return replace(problem, disturbance=problem.disturbance + added)

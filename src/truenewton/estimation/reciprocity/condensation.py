@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.couplings import pair_ratios
-from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.reciprocity.known_noise import Regressed
-from truenewton.estimation.reciprocity.sight import Places
+from truenewton.estimation.matrix.couplings import pair_ratios
+from truenewton.estimation.matrix.misfits import condensed
+from truenewton.estimation.reciprocity.regression import Regressed
+from truenewton.estimation.reciprocity.sensor_model import Places
 
-FAR = 4.0  # times the median asymmetry of a row: beyond it an actuator is left free
-CURED = 2.0  # times less asymmetry that a typical row has with one of them free
-MOST = 0.03  # of the actuators, and two at least, may be left free
-CANDIDATES = 8  # that are tried: neighbours of a bad actuator stand out as well
+MAX_ROW_ASYMMETRY = 4.0  # times the median asymmetry of a row: beyond it an actuator is left free
+MIN_ASYMMETRY_RATIO = 2.0  # times less asymmetry that a typical row has with one of them free
+MAX_FREED_FRACTION = 0.03  # of the actuators, and two at least, may be left free
+CANDIDATE_COUNT = 8  # that are tried: neighbours of a bad actuator stand out as well
 
 
 def odd_actuators(stiffness: Array) -> NDArray[np.int64]:
@@ -34,15 +34,20 @@ def odd_actuators(stiffness: Array) -> NDArray[np.int64]:
     """
     at, rest = np.arange(len(stiffness)), stiffness
     found, (size, ratios) = list[int](), _asymmetry(stiffness)
-    while len(found) <= max(2, int(MOST * len(stiffness))):
+    while len(found) <= max(2, int(MAX_FREED_FRACTION * len(stiffness))):
         worst = np.argsort(-size)
-        tried = worst[rest.diagonal()[worst] != 0.0][:CANDIDATES]  # one that yields can be free
+        tried = worst[rest.diagonal()[worst] != 0.0][
+            :CANDIDATE_COUNT
+        ]  # one that yields can be free
         if not tried.size:
             break
         left = [_asymmetry(_without(rest, int(k)), np.delete(ratios, k)) for k in tried]
         best = int(np.argmin([np.sum(each**2) for each, _ in left]))
         usual = np.median(size)
-        if not (size.max() > FAR * usual or usual > CURED * np.median(left[best][0])):
+        if not (
+            size.max() > MAX_ROW_ASYMMETRY * usual
+            or usual > MIN_ASYMMETRY_RATIO * np.median(left[best][0])
+        ):
             break
         found.append(int(at[tried[best]]))
         at, rest = np.delete(at, tried[best]), _without(rest, int(tried[best]))
@@ -54,7 +59,7 @@ def kept(stiffness: Array) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
     """Return (n,) which actuators of K_c to keep; and, where too many are odd, all, with these."""
     odd = odd_actuators(stiffness)
     keep = np.ones(len(stiffness), dtype=bool)
-    if len(odd) > max(2, int(MOST * len(stiffness))):
+    if len(odd) > max(2, int(MAX_FREED_FRACTION * len(stiffness))):
         return keep, tuple(odd.tolist())
     keep[odd] = False
     return keep, ()

@@ -1,4 +1,11 @@
-"""Score and information of the unknowns, as sums of Hadamard products.
+"""The three blocks of equations that a true stiffness obeys, and the likeliest true forces.
+
+S = Q'F                  statics: forces of a free shell balance            (3 x m)
+t = W'D_alpha K_c z_R    rigid motions cost no force                        (m x 3)
+A = T - T', T = W'F      reciprocity: virtual work of each state's displacement on the other's
+                         force is the same                                  m (m - 1) / 2
+
+Score and information of the unknowns, as sums of Hadamard products.
 
 The derivative of T = W'F with respect to each unknown has rank one, dT = p q':
 
@@ -18,13 +25,76 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.reciprocity.blocks import Likeliest, Residuals
-from truenewton.estimation.reciprocity.sight import Sight
+from truenewton.estimation.reciprocity.sensor_model import SensorModel
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Values
 from truenewton.linalg import thread_count
 
-ROWS = 32  # of actuators at once, so that what is made of them stays in the cache
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What the equations leave.
+
+    Attributes
+    ----------
+    statics, rigid, work
+        (3, m) S, (m, 3) t, (m, m) T.
+    """
+
+    statics: Array
+    rigid: Array
+    work: Array
+
+    @property
+    def reciprocity(self) -> Array:
+        """(m, m) A."""
+        return np.asarray(self.work - self.work.T)
+
+    def chi2(self, weights: Weights) -> tuple[float, float, float]:
+        """Return the weighted sums of squares of S, t and A."""
+        pairs = weights.of_pairs * self.reciprocity**2
+        return (
+            float(np.sum(weights.statics * self.statics**2)),
+            float(np.sum(weights.rigid * self.rigid**2)),
+            float(0.5 * np.sum(pairs)),
+        )
+
+
+def residuals(states: States) -> Residuals:
+    """Return what the states leave of the equations."""
+    w = states.displacements
+    return Residuals(states.rigid.T @ states.forces, w.T @ states.rigid_forces, w.T @ states.forces)
+
+
+@dataclass(frozen=True, eq=False)
+class Likeliest:
+    """The likeliest true forces of the states, which obey the equations.
+
+    Attributes
+    ----------
+    forces
+        (n, m) F^: Q'F^ = 0, W'F^ symmetric.
+    by_reading
+        (n, m) true work on each state by a reading at each sensor: (D_alpha K_c^)' W.
+    """
+
+    forces: Array
+    by_reading: Array
+
+
+def likeliest(states: States, left: Residuals, weights: Weights) -> Likeliest:
+    """Return the likeliest forces: what is wrong with the measured ones is shared by variance."""
+    share = 0.5 if weights.share is None else weights.share
+    forces, work = states.forces, left.work
+    if weights.statics.any():  # what is not asked for corrects nothing
+        forces = forces - states.balancing @ left.statics
+    if weights.reciprocity.any():
+        correction = -share * left.reciprocity
+        forces, work = forces + states.displaced @ correction, work + correction
+    return Likeliest(forces, states.dual @ work.T)
+
+
+INFORMATION_ROWS = 32  # of actuators at once, so that what is made of them stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +136,7 @@ class Point:
 def designs(
     kinds: tuple[Kind, ...],
     values: Values,
-    seen: Sight,
+    seen: SensorModel,
     states: States,
     fitted: Likeliest,
     length: float,
@@ -91,12 +161,17 @@ def designs(
 def score(point: Point) -> Array:
     """Return (u,) the gradient of half the sum of squares."""
     states, left, weights = point.states, point.left, point.weights
-    pull = weights.of_pairs * left.reciprocity
+    symmetric = bool(weights.reciprocity.any())
     by_rigid = point.fitted.by_reading @ (weights.rigid * left.rigid)
     parts = []
-    pulled = {id(design.q): pull @ design.q for design in point.designs.values()}
+    pulled = dict[int, Array]()
+    if symmetric:
+        pull = (weights.of_pairs * left.reciprocity).astype(left.work.dtype)
+        pulled = {id(design.q): pull @ design.q for design in point.designs.values()}
     for kind, design in point.designs.items():
-        part = np.sum(design.p * pulled[id(design.q)], axis=0)
+        part = np.zeros(design.p.shape[1])
+        if symmetric:
+            part += np.sum(design.p * pulled[id(design.q)], axis=0)
         if kind == Kind.ALPHA:
             on = (weights.statics * left.statics) @ point.fitted.forces.T
             part += np.sum(states.rigid * on.T, axis=1)
@@ -141,14 +216,16 @@ def information(
     kinds, n = list(point.designs), point.states.readings.shape[0]
     total = np.zeros((n * len(kinds), n * len(kinds)))
     if single:
-        point, total = _in_single(point), _single(total)
+        point, total = in_single(point), to_single(total)
     bins = len(point.weights.bins)
     taken = Leverage(np.zeros((3, bins)), np.zeros((bins, 3)), np.zeros((bins, bins)))
-    blocks = range(0, n if point.weights.reciprocity.any() else 0, ROWS)
+    blocks = range(0, n if point.weights.reciprocity.any() else 0, INFORMATION_ROWS)
 
     def add(starts: range) -> list[Array]:
-        room = np.empty((4 + 4 * len(kinds), bins, ROWS * n), total.dtype)  # made once: it is slow
-        blocks = (slice(start, start + ROWS) for start in starts)
+        room = np.empty(
+            (4 + 4 * len(kinds), bins, INFORMATION_ROWS * n), total.dtype
+        )  # made once: it is slow
+        blocks = (slice(start, start + INFORMATION_ROWS) for start in starts)
         return [_add_reciprocity(total, point, some, before, room) for some in blocks]
 
     count = thread_count()
@@ -162,19 +239,19 @@ def information(
     return total, None if before is None else taken
 
 
-def _single(values: Array) -> Array:
-    """Return values in single precision."""
+def to_single(values: Array) -> Array:
+    """Return values of any shape in single precision, (n,) or (n, m)."""
     return np.asarray(values, dtype=np.float32)
 
 
-def _in_single(point: Point) -> Point:
+def in_single(point: Point) -> Point:
     """Return a point whose large matrices are in single precision; designs still share q."""
-    q = {id(design.q): _single(design.q) for design in point.designs.values()}
+    q = {id(design.q): to_single(design.q) for design in point.designs.values()}
     made = {
-        kind: replace(design, p=_single(design.p), q=q[id(design.q)])
+        kind: replace(design, p=to_single(design.p), q=q[id(design.q)])
         for kind, design in point.designs.items()
     }
-    fitted = Likeliest(_single(point.fitted.forces), _single(point.fitted.by_reading))
+    fitted = Likeliest(to_single(point.fitted.forces), to_single(point.fitted.by_reading))
     return replace(point, fitted=fitted, designs=made)
 
 

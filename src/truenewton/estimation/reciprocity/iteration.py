@@ -9,30 +9,35 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.reciprocity.blocks import likeliest, residuals
 from truenewton.estimation.reciprocity.information import (
     Fitted,
     Leverage,
     Point,
     designs,
     information,
+    likeliest,
+    residuals,
     score,
 )
-from truenewton.estimation.reciprocity.sight import Places, Sight, sight
+from truenewton.estimation.reciprocity.sensor_model import Places, SensorModel, sight
 from truenewton.estimation.reciprocity.states import States, Weights
-from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind, Values, at_nominal
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Request, Values, at_nominal
 from truenewton.linalg import inverse_of_positive, thread_count, threads
 
-STEPS = 40
-SETTLED = 0.02  # rms step of alpha over its rms error
-SLOW = 0.25  # step of alpha in terms of the one before, beyond which a kept factor is made anew
-LONGEST = 0.3  # step of any log alpha or log g
+MAX_STEPS = 40
+SETTLED_STEP = 0.02  # rms step of alpha over its rms error
+SLOW_RATIO = (
+    0.25  # step of alpha in terms of the one before, beyond which a kept factor is made anew
+)
+MAX_STEP = 0.3  # step of any log alpha or log g
 # Spreads of log g and of offsets [m] below which they are none: where data do not hold them, each
 # step would find them smaller.
-SMALLEST_GAIN, SMALLEST_OFFSET = 1e-6, 1e-8
+MIN_GAIN_SPREAD, MIN_OFFSET_SPREAD = 1e-6, 1e-8
+MIN_STEP_RATIO = 0.5  # ratio of successive steps of log spread, from which on they are extrapolated
+MAX_EXTRAPOLATION = 0.7  # of a log spread
 
 # What makes states and weights at a place of the unknowns, told of leverages once they are known.
-StatesAt = Callable[[Places, Values, Sight], tuple[States, Weights]]
+StatesAt = Callable[[Places, Values, SensorModel], tuple[States, Weights]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +61,7 @@ class Fit:
     """
 
     values: Values
-    asked: Asked
+    asked: Request
     covariance: Array
     chi2: tuple[float, float, float]
     equations: tuple[int, int, int]
@@ -83,7 +88,7 @@ class Fit:
         return replace(self, covariance=self.covariance[:, :n].copy())
 
     @property
-    def asked_again(self) -> Asked:
+    def asked_again(self) -> Request:
         """What was asked, the spreads taken for known."""
         return replace(self.asked, estimated=False)
 
@@ -96,7 +101,7 @@ class Fit:
         )
 
 
-def point_at(places: Places, values: Values, asked: Asked, states_at: StatesAt) -> Point:
+def point_at(places: Places, values: Values, asked: Request, states_at: StatesAt) -> Point:
     """Return all that is known at a place of the unknowns."""
     seen = sight(places, values, slopes=bool(asked.offset_spread))
     states, weights = states_at(places, values, seen)
@@ -109,7 +114,7 @@ def point_at(places: Places, values: Values, asked: Asked, states_at: StatesAt) 
 @threads(1)
 def fit(
     places: Places,
-    asked: Asked,
+    asked: Request,
     states_at: StatesAt,
     *,
     start: Values | None = None,
@@ -148,10 +153,11 @@ def fit(
     values = at_nominal(places.n) if start is None else start
     before: Fitted | None = None
     size = last = np.inf
-    for step in range(STEPS):
+    paces = dict[str, float]()
+    for step in range(MAX_STEPS):
         point = point_at(places, values, asked, states_at)
         known = asked.information(places.n)
-        if not (fixed and step and size < SLOW * last):
+        if not (fixed and step and size < SLOW_RATIO * last):
             covariance, leverage = _covariance(point, asked, before, single=True)
         before = None if fixed else Fitted(covariance, point.weights)
         if leverage is not None and told is not None:
@@ -160,9 +166,9 @@ def fit(
         n = places.n
         error = np.sqrt(np.mean(np.diag(covariance)[:n]))
         last, size = size, float(np.sqrt(np.mean(move[:n] ** 2)))
-        settled = step > 0 and size < SETTLED * error
+        settled = step > 0 and size < SETTLED_STEP * error
         logs = move[: n * sum(kind not in OFFSETS for kind in asked.kinds)]
-        move = move * min(1.0, LONGEST / max(float(np.abs(logs).max()), 1e-300))
+        move = move * min(1.0, MAX_STEP / max(float(np.abs(logs).max()), 1e-300))
         values = asked.moved(values, move)
         if settled:
             if not fixed:
@@ -170,17 +176,18 @@ def fit(
                 covariance, _ = _covariance(point, asked, single=False)
             return _fit(values, asked, covariance, point, leverage, step + 1)
         if asked.estimated:
-            asked = _with_spreads(asked, values, covariance)
+            found = _with_spreads(asked, values, covariance)
+            asked, paces = _extrapolated(asked, found, paces)
     raise NotConverged(
-        f"reciprocity has not settled after {STEPS} steps",
+        f"reciprocity has not settled after {MAX_STEPS} steps",
         remedy="check gains and positions of the sensors",
         got=size / float(error),
-        want=SETTLED,
+        want=SETTLED_STEP,
     )
 
 
 def _covariance(
-    point: Point, asked: Asked, before: Fitted | None = None, *, single: bool
+    point: Point, asked: Request, before: Fitted | None = None, *, single: bool
 ) -> tuple[Array, Leverage | None]:
     """Return the covariance, and the leverages of a fit before.
 
@@ -212,7 +219,7 @@ def _covariance(
 
 def _fit(
     values: Values,
-    asked: Asked,
+    asked: Request,
     covariance: Array,
     point: Point,
     leverage: Leverage | None,
@@ -235,15 +242,15 @@ def _fit(
     )
 
 
-def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
+def _with_spreads(asked: Request, values: Values, covariance: Array) -> Request:
     """Return what is asked with the spreads that the data give (MacKay).
 
     sum v^2 over the number of unknowns less what the prior, not the data, says of them.
     """
     n = len(values.log_alpha)
     for names, spread, least in (
-        ((Kind.GAIN,), "gain_spread", SMALLEST_GAIN),
-        (OFFSETS, "offset_spread", SMALLEST_OFFSET),
+        ((Kind.GAIN,), "gain_spread", MIN_GAIN_SPREAD),
+        (OFFSETS, "offset_spread", MIN_OFFSET_SPREAD),
     ):
         size = getattr(asked, spread)
         if not size or np.isinf(size):
@@ -258,3 +265,26 @@ def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
         found = max(float(np.sqrt(total / max(held, 1.0))), least)
         asked = replace(asked, **{spread: found})  # type: ignore[arg-type]
     return asked
+
+
+def _extrapolated(
+    asked: Request, found: Request, paces: dict[str, float]
+) -> tuple[Request, dict[str, float]]:
+    """Return spreads where a series of them leads (Aitken), and the steps of their logarithms.
+
+    Where sensors scatter less than the data can tell, each spread found is only a little less than
+    the one before. After an extrapolated step, the next is taken as it is.
+    """
+    now = dict[str, float]()
+    for name in ("gain_spread", "offset_spread"):
+        before, after = getattr(asked, name), getattr(found, name)
+        if not before or np.isinf(before):
+            continue
+        step = float(np.log(after / before))
+        ratio = step / paces[name] if paces.get(name) else 0.0
+        if MIN_STEP_RATIO < ratio < 1.0:
+            further = np.clip(step * ratio / (1.0 - ratio), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
+            found = replace(found, **{name: after * float(np.exp(further))})
+        else:
+            now[name] = step
+    return found, now

@@ -10,43 +10,50 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import Estimate
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.matrix_order import SYMMETRIC, balance_effects, looks_transposed
-from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
-from truenewton.estimation.reciprocity.condensation import kept, kept_places
-from truenewton.estimation.reciprocity.gate import (
-    Evidence,
-    apart,
-    disagreement,
-    refusals,
-)
-from truenewton.estimation.reciprocity.iteration import Fit, fit
-from truenewton.estimation.reciprocity.response import (
-    Noise,
-    beyond_noise,
-    noise_of,
-    stated_errors,
-)
-from truenewton.estimation.reciprocity.sensors import sensors_of
-from truenewton.estimation.reciprocity.sight import Places, places_of
-from truenewton.estimation.reciprocity.states import States, Weights
-from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
-from truenewton.estimation.stiffness_svd import (
-    EVEN,
-    ODD,
+from truenewton.estimation.matrix.misfits import condensed
+from truenewton.estimation.matrix.modes import (
+    EVEN_MODES,
+    ODD_MODES,
     Imbalance,
     elastic_count,
     imbalances_of,
 )
+from truenewton.estimation.matrix.order import (
+    MAX_SYMMETRISED_ASYMMETRY,
+    balance_effects,
+    looks_transposed,
+)
+from truenewton.estimation.reciprocity.acceptance import (
+    Evidence,
+    apart,
+    disagreement,
+    refusals,
+    sensors_of,
+)
+from truenewton.estimation.reciprocity.condensation import kept, kept_places
+from truenewton.estimation.reciprocity.iteration import Fit, fit
+from truenewton.estimation.reciprocity.noise import BinnedNoise
+from truenewton.estimation.reciprocity.response import (
+    Noise,
+    beyond_noise,
+    drawn_differences,
+    noise_of,
+    stated_errors,
+)
+from truenewton.estimation.reciprocity.sensor_model import Places, places_of
+from truenewton.estimation.reciprocity.states import States, Weights
+from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Request, Values
 from truenewton.linalg import asymmetry, singular_values_and_vectors
 from truenewton.progress import tell
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
-AT_MAGNETS = 5e-5  # rms offset [m] of sensors; beyond it a plate is not what they see of the glass
+AT_MAGNETS_OFFSET = (
+    5e-5  # rms offset [m] of sensors; beyond it a plate is not what they see of the glass
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +88,7 @@ class Modes:
 
     def fit(
         self,
-        asked: Asked,
+        asked: Request,
         *,
         balance: bool = False,
         start: Values | None = None,
@@ -134,7 +141,7 @@ def modes_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Examined:
+class MatrixEvidence:
     """Fits of a stiffness, and what they say of each other.
 
     Attributes
@@ -164,7 +171,7 @@ class Examined:
     evidence: Evidence
 
 
-def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
+def examined(modes: Modes, asked: Request = START_REQUEST) -> MatrixEvidence:
     """Fit all modes and every second one, by balance and reciprocity together and apart.
 
     Noise and scatter of the sensors are those of the fit to all, except by balance alone.
@@ -177,7 +184,7 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     joint = modes.fit(asked)
     tell("reciprocity, the noise", 0.5)
     noise = noise_of(modes.stiffness, joint, modes.places)
-    doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS
+    doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS_OFFSET
     tell("reciprocity, of halves of the modes", 0.65)
     halves = _halves(modes, joint, noise, doubtful=doubtful)
     tell("reciprocity, against the balance", 0.8)
@@ -209,7 +216,9 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
             )
             for kind, error in of_sensors.items()
         }
-    return Examined(joint, halves.imbalances, (one, other), covariance, of_sensors, ways, evidence)
+    return MatrixEvidence(
+        joint, halves.imbalances, (one, other), covariance, of_sensors, ways, evidence
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,12 +246,13 @@ def _halves(modes: Modes, joint: Fit, noise: Noise, *, doubtful: bool) -> Halves
     again, weights = joint.asked_again, joint.point.weights
     one, other = (
         modes.every(some).fit(again, start=joint.values, weights=weights.every(some)).of_alpha
-        for some in (EVEN, ODD)
+        for some in (EVEN_MODES, ODD_MODES)
     )
+    drawn = drawn_differences((one, other), noise)
     return Halves(
         values=(one.values, other.values),
         imbalances=modes.imbalances(joint, one, other),
-        excess=beyond_noise((one, other), noise, alike=True, doubtful=doubtful),
+        excess=beyond_noise((one, other), drawn, alike=True, doubtful=doubtful),
         disagreement=disagreement(one, other),
     )
 
@@ -262,18 +272,19 @@ def _against_balance(
         Variance between them over that of noise.
     """
     alone = [  # alpha only: the balance knows nothing of sensors
-        each.fit(Asked(), balance=True, start=joint.values)
-        for each in (modes, modes.every(EVEN), modes.every(ODD))
+        each.fit(Request(), balance=True, start=joint.values)
+        for each in (modes, modes.every(EVEN_MODES), modes.every(ODD_MODES))
     ]
     by_balance = _unseen(modes.imbalances(*alone))
     own = disagreement(*alone[1:])
     weights = joint.point.weights.of_symmetry
     reciprocity = modes.fit(joint.asked_again, start=joint.values, weights=weights)
     pair = (alone[0], reciprocity.of_alpha)
-    excess = beyond_noise(pair, noise, alike=False, doubtful=doubtful)
+    drawn = drawn_differences(pair, noise)
+    excess = beyond_noise(pair, drawn, alike=False, doubtful=doubtful)
     between = as_stated = apart(*pair, own, halves.disagreement)
     if noise.variance is not None:  # what the fits state is not their error
-        between = beyond_noise(pair, noise, alike=False, doubtful=True)
+        between = beyond_noise(pair, drawn, alike=False, doubtful=True)
     ways = (pair[0].values.log_alpha, pair[1].values.log_alpha)
     return (by_balance, between, as_stated), ways, excess
 
@@ -319,7 +330,7 @@ def find(
     """
     for effect in balance_effects(matrix):
         raise RankDeficient(effect.name, remedy=effect.remedy)
-    if asymmetry(matrix.used_stiffness) < SYMMETRIC:
+    if asymmetry(matrix.used_stiffness) < MAX_SYMMETRISED_ASYMMETRY:
         raise RankDeficient(
             "STIFFNESS is symmetric as commanded, so reciprocity gives alpha = 1 whatever it is",
             remedy="use the matrix as it was measured",

@@ -12,16 +12,15 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
-from truenewton.estimation.likelihood import expected
-from truenewton.estimation.moments import Moments
+from truenewton.estimation.likelihood.objective import expected
 from truenewton.estimation.prediction import Prediction, known_beforehand, repeated, stated
-from truenewton.estimation.reciprocity.cycles import alpha_information, mean_forces
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.reciprocity.campaign import alpha_information, mean_forces
 from truenewton.estimation.reciprocity.information import information
 from truenewton.estimation.reciprocity.iteration import point_at
-from truenewton.estimation.reciprocity.known_noise import Regressed
-from truenewton.estimation.reciprocity.regression import refuse_unheld
-from truenewton.estimation.reciprocity.sight import Places
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
+from truenewton.estimation.reciprocity.regression import Regressed, refuse_unheld
+from truenewton.estimation.reciprocity.sensor_model import Places
+from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
 from truenewton.records.campaign import Campaign
 
 
@@ -37,7 +36,7 @@ class Informed:
         (u, u) information on the unknowns, relative alpha first; proportional to the cycles.
     """
 
-    asked: Asked
+    asked: Request
     data: Array
 
     def after(self, cycles: int) -> Array:
@@ -48,7 +47,7 @@ class Informed:
 
 def informed(
     places: Places,
-    asked: Asked,
+    asked: Request,
     shapes: Array,
     force: Array,
     *,

@@ -1,18 +1,121 @@
-"""The stiffness that the groups of a campaign measured, and the noise that it leaves."""
+"""The stiffness that a campaign measured, its noise, and the states of the mirror in it.
+
+A stiffness regressed from shapes, its noise known: states whose residuals are all independent.
+
+K_c = S_cz S_zz^-1 has noise of covariance N_c for rows, S_zz^-1 for columns. States V with
+V'S_zz^-1 V = 1 and W'N W diagonal, N = D_alpha N_c D_alpha, both apart from rigid motions in these
+metrics, have independent residuals; so the sums below are the likelihood itself.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy
+import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.reciprocity.known_noise import Regressed
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.reciprocity.sensor_model import Places, SensorModel
+from truenewton.estimation.reciprocity.states import States, Weights, equal_bins
+from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.linalg import singular_values_and_vectors
 
-SPARE = 0.25  # shapes beyond the actuators, in terms of these, from which their misfit is noise
-UNHELD = 1e-5  # amplitude of a motion in terms of the largest: below it shapes do not hold it
+STATE_BINS = 12  # of states; up to `MAX_SINGLE_STATES` states one each
+MAX_SINGLE_STATES = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Regressed:
+    """A stiffness by regression of forces on readings.
+
+    Attributes
+    ----------
+    stiffness
+        (n, n) K_c, commanded force per reading [N/m].
+    square
+        (n, n) S_zz, sum of z z' [m^2].
+    noise
+        (n, n) N_c, covariance of the force that a row of weight 1 leaves [N^2].
+    noise_freedom
+        Degrees of freedom from which the noise is known.
+    bias_gradient
+        Change of the bias magnets' force per displacement [N/m].
+    coil_force
+        (n,) COILGRAD times the mean force [N/m]: what K_c lacks at gain g is this times g - 1.
+    """
+
+    stiffness: Array
+    square: Array
+    noise: Array
+    noise_freedom: float = np.inf
+    bias_gradient: float = 0.0
+    coil_force: Array | float = 0.0
+
+    def at(self, values: Values) -> Array:
+        """Return (n, n) D_alpha K_c, what magnets and coils change with the gap taken out [N/m]."""
+        gain = values.gain
+        true = values.alpha[:, None] * self.stiffness
+        change = values.alpha * self.coil_force * (gain - 1.0) + self.bias_gradient * gain
+        true[np.diag_indices(len(gain))] += change
+        return np.asarray(true)
+
+    def states(self, places: Places, values: Values, seen: SensorModel) -> tuple[States, Weights]:
+        """Return the states, stiffest first, and the weights of their residuals."""
+        n, true = places.n, self.at(values)
+        noise = values.alpha[:, None] * self.noise * values.alpha
+        try:
+            root = np.linalg.cholesky(self.square)
+        except np.linalg.LinAlgError:
+            raise RankDeficient(
+                "the positions of too few shapes that balance differ",
+                remedy="see the warnings of ml for what does not balance, or add shapes",
+            ) from None
+        basis, triangle = np.linalg.qr(
+            scipy.linalg.solve_triangular(root, places.rigid_readings(values), lower=True),
+            mode="complete",
+        )
+        turn = np.linalg.inv(triangle[:3])
+        rigid_readings, readings = root @ basis[:, :3], root @ basis[:, 3:]
+        rigid = places.rigid
+        rigid = rigid @ np.linalg.inv(np.linalg.cholesky(rigid.T @ noise @ rigid)).T
+        moved = seen.motion @ (values.gain[:, None] * readings)
+        moved -= rigid @ (rigid.T @ (noise @ moved))
+        size, turned = np.linalg.eigh(moved.T @ noise @ moved)
+        readings, moved = readings @ turned, moved @ turned
+        states = States(
+            readings=readings,
+            forces=true @ readings,
+            displacements=moved,
+            rigid_readings=rigid_readings,
+            rigid_forces=true @ rigid_readings,
+            turn=turn,
+            rigid=rigid,
+            displaced=noise @ moved / size,
+            balancing=noise @ rigid,
+            dual=scipy.linalg.cho_solve((root, True), readings),
+        )
+        bins = equal_bins(n - 3, n - 3 if n <= MAX_SINGLE_STATES else STATE_BINS)
+        of_bin = np.array([np.exp(np.mean(np.log(size[some]))) for some in bins])
+        weights = Weights(
+            statics=np.ones((3, n - 3)),
+            rigid=np.repeat(1.0 / size[:, None], 3, axis=1),
+            reciprocity=1.0 / (of_bin[:, None] + of_bin),
+            bins=bins,
+            share=size[:, None] / (size[:, None] + size),
+            exact=1.0 / (size[:, None] + size),
+        )
+        return states, weights
+
+
+MIN_SPARE_SHAPES = (
+    0.25  # shapes beyond the actuators, in terms of these, from which their misfit is noise
+)
+MIN_AMPLITUDE = (
+    1e-5  # amplitude of a motion in terms of the largest: below it shapes do not hold it
+)
 
 
 def regressed(
@@ -59,7 +162,7 @@ def regressed(
     stiffness = np.linalg.solve(square, z.T @ force).T
     spare = moments.groups - len(moments.loads) - n
     noise, freedom = np.diag(variance), float(max(moments.repeats, 1) * n)
-    if spare >= SPARE * n:
+    if spare >= MIN_SPARE_SHAPES * n:
         noise = _noise(force - z @ stiffness.T, stiffness, variance, spare)
         freedom = float(spare * n)
     mean = (of_load.sum(axis=0) / of_load.sum()) @ rest
@@ -70,7 +173,7 @@ def refuse_unheld(square: Array) -> None:
     """Raise RankDeficient where (n, n) S_zz lacks motions of the mirror."""
     n = len(square)
     amplitude = np.sqrt(np.maximum(np.linalg.eigvalsh(square), 0.0))
-    missing = int(np.count_nonzero(amplitude <= UNHELD * amplitude[-1]))
+    missing = int(np.count_nonzero(amplitude <= MIN_AMPLITUDE * amplitude[-1]))
     if missing:
         raise RankDeficient(
             f"no shape holds {missing} of {n} motions of the mirror",

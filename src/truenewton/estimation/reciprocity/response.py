@@ -15,21 +15,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.reciprocity.blocks import Residuals
-from truenewton.estimation.reciprocity.element_noise import cost_of_modes, element_variance
-from truenewton.estimation.reciprocity.information import score
+from truenewton.estimation.reciprocity.acceptance import errors_of_sensors
+from truenewton.estimation.reciprocity.information import Residuals, in_single, score, to_single
 from truenewton.estimation.reciprocity.iteration import Fit
-from truenewton.estimation.reciprocity.sensors import errors_of_sensors
-from truenewton.estimation.reciprocity.sight import Places
-from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind
+from truenewton.estimation.reciprocity.noise import cost_of_modes, element_variance
+from truenewton.estimation.reciprocity.sensor_model import Places
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Request
 from truenewton.linalg import factor_of
 
-SEED = 1
-WORK = 1e9  # (n actuators)^3 times the draws, between a few and many
-FEWEST, MOST = 50, 300
-RARE = 0.01  # of draws: what differs by more than all but these may be no noise, and is none
-UNSURE = 1.5  # times beyond these, as the variance of the elements is not known for sure
-SCALE = 1e-9  # of the largest variance: below it only the scale is, which is no error
+DRAW_SEED = 1
+DRAW_WORK = 1e9  # (n actuators)^3 times the draws, between a few and many
+MIN_DRAWS, MAX_DRAWS = 50, 300
+RARE_DRAW_FRACTION = (
+    0.01  # of draws: what differs by more than all but these may be no noise, and is none
+)
+UNCERTAIN_VARIANCE_FACTOR = (
+    1.5  # times beyond these, as the variance of the elements is not known for sure
+)
+SCALE_VARIANCE = 1e-9  # of the largest variance: below it only the scale is, which is no error
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +45,15 @@ class Noise:
         (n, n) of its elements [(N/m)^2]; None where it is one of modes.
     scatter
         Standard deviations of log g and of the offsets [m], as far as noise does not feign them.
+    scores
+        (draws, u) of the fit that the noise is from, for noise of its elements.
     """
 
     variance: Array | None
     scatter: tuple[float, float] = (0.0, 0.0)
+    scores: Array | None = None
 
-    def of(self, asked: Asked, n: int) -> Array:
+    def of(self, asked: Request, n: int) -> Array:
         """Return (u,) standard deviations of the unknowns that are drawn."""
         gain, offset = self.scatter
         spreads = {Kind.ALPHA: 0.0, Kind.GAIN: gain, Kind.X: offset, Kind.Y: offset}
@@ -63,8 +69,9 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
     if cost > cost_of_modes(fit):
         return Noise(None)
     n = len(variance)
-    by_noise = -scores(fit, variance) @ fit.covariance
-    unit = np.random.default_rng(SEED).standard_normal(by_noise.shape)
+    drawn = scores(fit, variance)
+    by_noise = -drawn @ fit.covariance
+    unit = np.random.default_rng(DRAW_SEED).standard_normal(by_noise.shape)
     known = fit.asked.information(n)
     scatter = []
     for kinds in ((Kind.GAIN,), OFFSETS):
@@ -77,31 +84,43 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
         pulled = unit * some - (unit * some * known) @ fit.covariance
         feigned, passed = (np.sum(each[:, some] ** 2) / len(each) for each in (by_noise, pulled))
         scatter.append(float(np.sqrt(max(found - feigned, 0.0) / passed)))
-    return Noise(variance, (scatter[0], scatter[1]))
+    return Noise(variance, (scatter[0], scatter[1]), drawn)
 
 
 def scores(fit: Fit, variance: Array) -> Array:
-    """Return (draws, u) scores of a fit for noise whose elements have (n, n) variance."""
-    n = len(variance)
-    random, states, alpha = np.random.default_rng(SEED), fit.point.states, fit.values.alpha[:, None]
+    """Return (draws, u) scores of a fit for noise whose elements have (n, n) variance.
+
+    In single precision: they are random.
+    """
+    n, point = len(variance), in_single(fit.point)
+    random, states, alpha = (
+        np.random.default_rng(DRAW_SEED),
+        fit.point.states,
+        fit.values.alpha[:, None],
+    )
+    symmetric = bool(point.weights.reciprocity.any())
     used = states.forces / alpha  # rigid motions are judged by the forces of the modes alone
     used = used / np.linalg.norm(used, axis=0)
     size, w = alpha * np.sqrt(variance), states.displacements
+    readings, displacements = to_single(states.readings), to_single(w)
     found = []
-    for _ in range(int(np.clip(WORK / n**3, FEWEST, MOST))):
+    for _ in range(int(np.clip(DRAW_WORK / n**3, MIN_DRAWS, MAX_DRAWS))):
         noise = size * random.standard_normal(size.shape)
-        pushed = noise @ states.readings
+        pushed = to_single(noise) @ readings
         rigid = alpha * (used @ (used.T @ ((noise @ states.rigid_readings) / alpha)))
-        left = Residuals(states.rigid.T @ pushed, w.T @ rigid, w.T @ pushed)
-        found.append(score(replace(fit.point, left=left)))
+        work = displacements.T @ pushed if symmetric else np.zeros((0, 0))
+        left = Residuals(states.rigid.T @ pushed, w.T @ rigid, work)
+        found.append(score(replace(point, left=left)))
     return np.array(found)
 
 
-def errors(fit: Fit, variance: Array, noise: Noise) -> Array:
-    """Return (draws, u) errors of all unknowns; the same noise and sensors for all fits."""
-    n = len(variance)
-    total = scores(fit, variance)
-    unit = np.random.default_rng([SEED, 1]).standard_normal((len(total), 3 * n))
+def errors(fit: Fit, noise: Noise, by_noise: Array) -> Array:
+    """Return (draws, u) errors of all unknowns by the `scores` of noise and the sensors' scatter.
+
+    Noise and sensors are the same for all fits.
+    """
+    n, total = len(fit.values.log_alpha), by_noise.copy()
+    unit = np.random.default_rng([DRAW_SEED, 1]).standard_normal((len(total), 3 * n))
     sensors = np.concatenate([np.zeros((len(total), n)), unit], axis=1)[:, : total.shape[1]]
     total += sensors * noise.of(fit.asked, n) * fit.asked.information(n)
     return np.asarray(-total @ fit.covariance)
@@ -115,7 +134,8 @@ def stated_errors(fit: Fit, noise: Noise) -> tuple[Array, dict[Kind, Array]]:
     alpha = fit.covariance_of(Kind.ALPHA)
     if noise.variance is None:
         return alpha, errors_of_sensors(fit)
-    drawn = errors(fit, noise.variance, noise)
+    assert noise.scores is not None
+    drawn = errors(fit, noise, noise.scores)
     rms = np.split(np.sqrt(np.mean(drawn**2, axis=0)), len(fit.asked.kinds))
     of_sensors = dict(zip(fit.asked.kinds[1:], rms[1:], strict=True))
     return covariance_of_draws(alpha, drawn[:, : len(alpha)]), of_sensors
@@ -139,38 +159,46 @@ def _by_size(stated: Array, drawn: Array) -> tuple[Array, Array]:
     bands of as many patterns as there are before.
     """
     values, vectors = (each[..., ::-1] for each in np.linalg.eigh(stated))
-    base = np.maximum(values, SCALE * values[0])
+    base = np.maximum(values, SCALE_VARIANCE * values[0])
     along, start = np.mean((drawn @ vectors) ** 2, axis=0) / base, 0
     held = np.zeros(len(values))
     while start < len(values):
         some = slice(start, max(1, 2 * start))
         held[some] = base[some] * np.mean(along[some])
         start = some.stop
-    held[values < SCALE * values[0]] = 0.0
+    held[values < SCALE_VARIANCE * values[0]] = 0.0
     return held, vectors
 
 
-def beyond_noise(fits: Sequence[Fit], noise: Noise, *, alike: bool, doubtful: bool) -> float:
+def drawn_differences(fits: Sequence[Fit], noise: Noise) -> Array:
+    """Return (draws, n) differences that noise makes between the log alpha of two fits."""
+    if noise.variance is None:
+        one, other = (fit.covariance_of(Kind.ALPHA) for fit in fits)
+        factor = factor_of(one + other)
+        unit = np.random.default_rng(DRAW_SEED).standard_normal((MAX_DRAWS, factor.shape[1]))
+        return np.asarray(unit @ factor.T)
+    n = len(noise.variance)
+    one, other = (errors(fit, noise, scores(fit, noise.variance))[:, :n] for fit in fits)
+    return np.asarray(one - other)
+
+
+def beyond_noise(fits: Sequence[Fit], drawn: Array, *, alike: bool, doubtful: bool) -> float:
     """Return the variance between the log alpha of two fits over that of noise, 1 at least.
 
     Of patterns in terms of their errors; of fits that are alike, which err in more than a few
     patterns, also of alpha as it is, whichever is more. Unless the model is doubtful, what noise
-    may do is noise.
+    may do, (draws, n) by `drawn_differences`, is noise.
     """
-    (one, other), n = fits, len(fits[0].values.log_alpha)
+    one, other = fits
     difference = one.values.log_alpha - other.values.log_alpha
     stated = one.covariance_of(Kind.ALPHA) + other.covariance_of(Kind.ALPHA)
-    if noise.variance is None:
-        factor = factor_of(stated)
-        drawn = np.random.default_rng(SEED).standard_normal((MOST, factor.shape[1])) @ factor.T
-    else:
-        both = (errors(each, noise.variance, noise)[:, :n] for each in fits)
-        drawn = np.subtract(*both)
     held, vectors = _by_size(stated, drawn)
     white = vectors[:, held > 0.0] / np.sqrt(held[held > 0.0])
     excess = 1.0
     for way in (white, np.eye(len(held)))[: 1 + alike]:
         seen, usual = np.sum((difference @ way) ** 2), np.sum((drawn @ way) ** 2, axis=1)
-        if doubtful or seen > UNSURE * np.quantile(usual, 1.0 - RARE):
+        if doubtful or seen > UNCERTAIN_VARIANCE_FACTOR * np.quantile(
+            usual, 1.0 - RARE_DRAW_FRACTION
+        ):
             excess = max(excess, float(seen / usual.mean()))
     return excess

@@ -11,7 +11,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import rejected_values
-from truenewton.estimation.weights import typical
+from truenewton.estimation.findings.scale_budget import typical
 from truenewton.records.campaign import Campaign
 from truenewton.report.budget import error_budget
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals

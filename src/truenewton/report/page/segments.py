@@ -9,7 +9,7 @@ import numpy as np
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.words import as_sentences, headline, summary_rows
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.weights import typical
+from truenewton.estimation.findings.scale_budget import typical
 from truenewton.report.change import Change
 from truenewton.report.page.section import Section, TextTable
 from truenewton.rounding import counted, percent, significant, with_error

@@ -11,8 +11,8 @@ from bokeh.models import ColumnDataSource
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.estimation.estimate import Scale
-from truenewton.estimation.weights import typical
+from truenewton.estimation.findings.estimate import Scale
+from truenewton.estimation.findings.scale_budget import typical
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
 from truenewton.report.layers import Layer, calibration_layers, segment_layers

@@ -1,0 +1,383 @@
+"""Maximum likelihood on a campaign, and the patterns of alpha that noise decides.
+
+Undetermined patterns of alpha, which noise decides: which they are, and their error.
+
+Where noise alone makes as much imbalance as a pattern of alpha would, the data say nothing of that
+pattern (docs/likelihood.md). It is held at zero, so that alpha stays even over the mirror, and its
+error is taken to be, root mean square over the actuators, all that alpha is seen to vary by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.estimation.checks.campaign import campaign_warnings, noise_warnings
+from truenewton.estimation.checks.dead_actuators import strange_alphas
+from truenewton.estimation.checks.inputs import check_inputs, refusal_naming
+from truenewton.estimation.effects.examination import (
+    ExaminedFit,
+    chi2_probability,
+    examined,
+    misfit_findings,
+    warmer_loads,
+)
+from truenewton.estimation.effects.undetectable import (
+    positions_are_unsure,
+    unseen_errors,
+    with_magnets_unsure,
+    with_positions_unsure,
+)
+from truenewton.estimation.findings.estimate import (
+    Diagnosis,
+    Estimate,
+    Goodness,
+    NoiseSource,
+    RejectedRow,
+    Scale,
+    UnseenError,
+)
+from truenewton.estimation.findings.scale_budget import (
+    scale_errors,
+    temperature_errors,
+    weight_errors,
+)
+from truenewton.estimation.likelihood.minimum import (
+    Minimum,
+    Prior,
+    likeliest_spread,
+    smooth_patterns,
+    with_population,
+)
+from truenewton.estimation.likelihood.objective import chi2_at, gram_of_e
+from truenewton.estimation.outlying_shapes import Fitted, balancing_groups, balancing_moments
+from truenewton.estimation.paper.identifiability import (
+    balance_patterns,
+    centred_means,
+    describe_pattern,
+    diagnose,
+    leverage,
+    refuse,
+    similar_loads,
+    structural_faults,
+    unseen_load,
+)
+from truenewton.estimation.problem import (
+    Problem,
+    load_data,
+    problem_of,
+    with_noise_from_minimum,
+    with_share_in_balance,
+)
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.readings.repeats import WEIGHED_NOISE
+from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
+from truenewton.estimation.screening.screen import ScreenedCampaign, refuse_too_many
+from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
+
+HELD_INFORMATION = (
+    1e10  # information on a pattern held at zero: it is known to 1e-5, for the time being
+)
+
+
+def undetermined_patterns(problem: Problem, moments: Moments, count: int) -> Array:
+    """Return (n, count) patterns of alpha, orthonormal and of mean 0, that the data hold least.
+
+    One pattern more than ``count`` cannot be told from alpha; of all that these make up together,
+    those without a mean leave alpha as even as can be.
+    """
+    centred = centred_means(moments)
+    _, patterns = balance_patterns(centred, problem.a, problem.noise.variance, count + 1)
+    without_mean = scipy.linalg.null_space(patterns.mean(axis=0, keepdims=True))
+    return np.asarray(np.linalg.qr(patterns @ without_mean)[0])
+
+
+def with_patterns_held(problem: Problem, patterns: Array) -> Problem:
+    """Return the problem with (n, k) orthonormal patterns of alpha held at zero."""
+    return replace(problem, prior=problem.prior.with_more(HELD_INFORMATION * patterns @ patterns.T))
+
+
+def with_undetermined_patterns(minimum: Minimum, patterns: Array) -> Minimum:
+    """Return the minimum with the error of (n, k) patterns held at zero in its covariance."""
+    n, t = len(patterns), len(minimum.reading_covariance)
+    pulled = np.zeros((t, patterns.shape[1]))
+    pulled[:n] = HELD_INFORMATION * patterns
+    spread = float(minimum.values[:n].std())
+    answer = scipy.linalg.solve(minimum.information[:t, :t], pulled, assume_a="pos")
+    answer *= spread * np.sqrt(n)  # of length 1: RMS over actuators 1 / root n
+    return replace(minimum, reading_covariance=minimum.reading_covariance + answer @ answer.T)
+
+
+def tolerable(judged: Diagnosis, n: int) -> bool:
+    """Tell whether an answer is worth having though some patterns are undetermined.
+
+    Not where the shapes would be too few even without noise, nor where a tenth of the patterns go.
+    """
+    return 3 * judged.span >= n - 1 and 10 * judged.undetermined <= n
+
+
+LINEAR_STEPS = 3  # steps after which a population's pull, linear in each, has settled
+
+
+def find(screened: ScreenedCampaign, population: bool = False) -> Estimate:
+    """Find the likeliest alpha of a campaign, outliers left out; no row is read.
+
+    Parameters
+    ----------
+    screened
+        Cycles under two loads at least, and a stiffness matrix if there is one.
+    population
+        Whether alpha is taken for a sample of one normal population, whose spread the data give.
+
+    Raises
+    ------
+    RankDeficient, TooManyOutliers, NotConverged
+    """
+    sound, moments = screened.sound, screened.moments
+    refuse(structural_faults(sound, moments))
+    with refusal_naming(lambda: (*screened.suspects, *screened.clipped)):
+        free = _posed(screened)
+        suspects = check_inputs(screened, free)
+    with refusal_naming(
+        lambda: (*suspects.where_nothing_balances(free, moments).named, *screened.clipped)
+    ):
+        belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+        free = with_share_in_balance(free, screened, minimum.values[: free.n])
+        if free.dependent:
+            belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    balances = bool(belongs.all()) and _balances(problem, moments, minimum)
+    if not balances:
+        suspects = suspects.where_nothing_balances(free, moments)
+    wrong = not (balances or suspects.actuators) and bool(suspects.columns)
+    with refusal_naming(lambda: (*suspects.named, *screened.clipped)):
+        moments, lost = balancing_moments(screened, belongs, distance, (problem, minimum))
+        problem, minimum = with_noise_from_minimum(problem, moments, minimum)
+        plain = ExaminedFit(problem, moments, minimum)
+        left, unseen = _examined(plain, screened, patterns, columns_are_wrong=wrong)
+        method = "ml"
+        if population:
+            left, method = _of_population(left, free.prior)
+        estimate = _judged(method, left, (*screened.rejected, *lost), patterns.shape[1])
+        if estimate.diagnosis.undetermined:
+            diagnosis = diagnose(sound, moments)
+            if 3 * diagnosis.span < problem.n - 1:  # not even without noise
+                refuse(diagnosis.faults, diagnosis.undetermined)
+    error = np.sqrt(np.diag(left.minimum.reading_covariance)[: problem.n])
+    alpha = left.minimum.values[: problem.n]
+    strange = () if suspects.columns else strange_alphas(screened.campaign, alpha, error)
+    clipped = () if belongs.all() and left.fits else screened.clipped
+    effects = (*suspects.named, *strange, *clipped, *screened.frozen, *left.effects)
+    effects += tuple(warmer_loads(sound, estimate.scale_errors))
+    warnings = (*estimate.diagnosis.warnings, *misfit_findings(left))
+    return replace(
+        estimate,
+        effects=effects,
+        unseen=unseen,
+        diagnosis=replace(estimate.diagnosis, warnings=warnings),
+    )
+
+
+def _posed(screened: ScreenedCampaign) -> Problem:
+    """Pose the problem of a campaign, of which readings are independent as far as is known."""
+    sound, moments = screened.sound, screened.moments
+    rows = len(screened.rejected) + int(moments.rows.sum())
+    refuse_too_many(len(screened.rejected), rows)
+    force = moments.sums.force.sum(axis=1) / moments.sums.weight
+    errors = {**weight_errors(sound), **temperature_errors(sound, force)}
+    return problem_of(screened.campaign, reading_noise(sound, moments), errors)
+
+
+def _examined(
+    plain: ExaminedFit, screened: ScreenedCampaign, patterns: Array, *, columns_are_wrong: bool
+) -> tuple[ExaminedFit, tuple[UnseenError, ...]]:
+    """Return a fit after effects were looked for, as sure as it is, and what no data can show."""
+    if patterns.size:
+        return replace(plain, minimum=with_undetermined_patterns(plain.minimum, patterns)), ()
+    if columns_are_wrong:
+        return _less_sure(plain), ()
+    left = examined(
+        plain.problem, plain.moments, plain.minimum, screened.structure, screened.samples
+    )
+    left = replace(left, minimum=with_magnets_unsure(left))
+    unseen = unseen_errors(left)
+    if positions_are_unsure(screened.sound.layout):
+        left = replace(left, minimum=with_positions_unsure(left))
+    return left if left.fits or left.explained else _less_sure(left), unseen
+
+
+def _less_sure(left: ExaminedFit) -> ExaminedFit:
+    """Return a fit less sure by what the data are more out of balance than their noise says."""
+    covariance = left.excess * left.minimum.reading_covariance
+    return replace(left, minimum=replace(left.minimum, reading_covariance=covariance))
+
+
+def _of_population(left: ExaminedFit, prior: Prior) -> tuple[ExaminedFit, str]:
+    """Return the fit with alpha a sample of one population, and the name of that method."""
+    n, problem, minimum = left.problem.n, left.problem, left.minimum
+    alpha, smooth = minimum.values[:n], smooth_patterns(problem.a)
+    spread = likeliest_spread(smooth, alpha, minimum.reading_covariance[:n, :n])
+    for _ in range(LINEAR_STEPS):
+        problem = replace(problem, prior=with_population(prior, smooth, alpha, spread))
+        minimum = problem.fitted(left.moments, minimum.values)
+        alpha = minimum.values[:n]
+    if not (left.fits or left.explained):
+        covariance = left.excess * minimum.reading_covariance
+        minimum = replace(minimum, reading_covariance=covariance)
+    return replace(left, problem=problem, minimum=minimum), f"ml, population {spread:.2g}"
+
+
+def _judged(
+    method: str, left: ExaminedFit, rejected: tuple[RejectedRow, ...], held: int
+) -> Estimate:
+    problem, moments = left.problem, left.moments
+    freedom = problem.degrees_of_freedom(moments) - left.effective_parameters
+    return estimate_of(method, problem, moments, left.minimum, rejected, held, freedom)
+
+
+def _balances(problem: Problem, moments: Moments, minimum: Minimum) -> bool:
+    """Tell whether the balance of a fit is as good as the noise lets expect."""
+    if problem.noise.source == NoiseSource.MINIMUM:
+        return False
+    freedom = problem.degrees_of_freedom(moments)
+    return chi2_probability(minimum.chi2, freedom, problem.noise) > MIN_FIT_PROBABILITY
+
+
+def _fitted(
+    problem: Problem, campaign: Campaign, moments: Moments
+) -> tuple[NDArray[np.bool_], Array, Fitted, Array]:
+    """Fit the groups that belong; return these, distances, the fit, and patterns held even.
+
+    None is held unless the data hold no more than noise along some.
+    """
+    nothing = np.empty((problem.n, 0))
+    try:
+        return *balancing_groups(problem, moments), nothing
+    except (RankDeficient, NotConverged, TooManyOutliers):
+        diagnosis = diagnose(campaign, moments)  # which knows better what is missing
+        if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
+            alike = similar_loads(campaign.effective_weights)
+            unseen = unseen_load(problem.a[0], campaign.effective_weights, moments)
+            refuse((unseen, *diagnosis.faults, alike), diagnosis.undetermined)
+            raise
+    for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
+        patterns = undetermined_patterns(problem, moments, count)
+        try:
+            return *balancing_groups(with_patterns_held(problem, patterns), moments), patterns
+        except (RankDeficient, NotConverged):
+            continue
+    first = diagnosis.faults[0]
+    raise RankDeficient(first.fault, remedy=first.remedy, got=diagnosis.undetermined, want=0)
+
+
+def estimate_of(
+    method: str,
+    problem: Problem,
+    moments: Moments,
+    minimum: Minimum,
+    rejected: tuple[RejectedRow, ...],
+    held: int,
+    freedom: float | None = None,
+) -> Estimate:
+    """Put the minimum into the form that all methods share.
+
+    Degrees of freedom are those of the problem unless given.
+    """
+    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
+    chi2 = minimum.chi2
+    freedom = problem.degrees_of_freedom(moments) if freedom is None else freedom
+    tested = problem.noise.source != NoiseSource.MINIMUM and freedom > 0
+    probability = chi2_probability(chi2, freedom, problem.noise) if tested else float("nan")
+    declared = float("nan")
+    if all(c.force_error for c in campaign.cycles):
+        same = np.full(n, WEIGHED_NOISE**2)
+        at_declared = load_data(campaign, moments, same, problem.errors)
+        declared = chi2_at(problem.a, [at_declared], minimum.values)
+    diagnosis = _diagnosis(problem, moments, minimum, held)
+    e_condition = condition(campaign, moments, minimum.reading_covariance)  # while there is room
+    return Estimate(
+        method=method,
+        scale=Scale.WEIGHTS,
+        values=minimum.values[: unknowns.count],
+        reading_covariance=minimum.reading_covariance,
+        systematic_covariance=minimum.changes @ minimum.changes.T,
+        noise=float(np.sqrt(problem.noise.variance.mean() * moments.typical_variance)),
+        condition=e_condition,
+        rank=unknowns.count - diagnosis.undetermined,
+        diagnosis=diagnosis,
+        goodness=Goodness(chi2, round(freedom), problem.noise.source, probability),
+        declared_chi2=declared,
+        scale_errors=scale_errors(
+            minimum.values[:n],
+            minimum.reading_covariance[:n, :n],
+            minimum.changes[:n].T,
+            problem.errors,
+        ),
+        rejected=rejected,
+    )
+
+
+def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) -> Diagnosis:
+    """Judge alpha by what its information stands above what noise feigns, and name what is weak.
+
+    So many patterns as are held even drown for sure.
+    """
+    n, layout = problem.n, problem.campaign.layout
+    covariance = minimum.reading_covariance[:n, :n]
+    free = held + patterns_near_noise(minimum, moments.sums.shapes)
+    value, vector = largest_eigenvalue(covariance)
+    weakest = describe_pattern(vector, layout)
+    warnings = (
+        *noise_warnings(free, weakest, held, float(np.sqrt(value / n))),
+        *campaign_warnings(problem, moments, minimum),
+    )
+    return Diagnosis(
+        undetermined=free,
+        warnings=warnings,
+        weakest=weakest,
+        weakest_share=value / float(np.trace(covariance)),
+        leverage=tuple(leverage(problem.a * minimum.values[:n], problem.noise.variance).tolist()),
+    )
+
+
+def patterns_near_noise(minimum: Minimum, shapes: int) -> int:
+    """Count the patterns of alpha in which M reaches less than what noise alone may.
+
+    What noise alone feigns, D, spreads by (1 +- root(n / 3 N))^2; so count the negative eigenvalues
+    of M - reach D, B and the torques eliminated. There is none if all of D together is too small,
+    as mostly, or if there is a Cholesky factor.
+    """
+    n = len(minimum.noise_information.diagonal)
+    reach = 1.1 * (1 + np.sqrt(n / (3 * shapes))) ** 2
+    if (reach - 1.0) * minimum.noise_share < 0.9:
+        return 0
+    less = minimum.noise_information.taken_from(minimum.information, reach - 1.0)  # M = H + D
+    if dpotrf(less, lower=True, clean=False)[1] == 0:
+        return 0
+    less = mirrored(less.T)
+    schur = less[:n, :n] - less[:n, n:] @ np.linalg.pinv(less[n:, n:]) @ less[n:, :n]
+    return int(np.count_nonzero(scipy.linalg.eigvalsh(schur) <= 0.0))
+
+
+def condition(campaign: Campaign, moments: Moments, reading_covariance: Array) -> float:
+    """Return the condition of E, each coordinate in units of its RMS, from E' E.
+
+    Its inverse is, but for a factor, nearly the covariance from the readings, torques in the same
+    units.
+    """
+    a = arms_in_units_of_rms(campaign.layout)
+    gram = gram_of_e(a, load_data(campaign, moments, np.ones(a.shape[1]), {}))
+    unit = np.ones(len(gram))
+    for axis in (1, 2):
+        unit[a.shape[1] + axis :: 2] = np.sqrt(np.mean(enabled_arms(campaign.layout)[axis] ** 2))
+    smallest, _ = smallest_eigenvalue(
+        lambda x: gram @ x, len(gram), lambda x: reading_covariance @ (x / unit) / unit
+    )
+    return float(np.sqrt(largest_eigenvalue(gram)[0] / max(smallest, 1e-300)))

@@ -1,0 +1,194 @@
+"""What the data of a campaign cannot show, and what of its usual size would do to the common scale.
+
+Under two loads the sums of the forces at rest are two equations for two unknowns, the common scale
+and B: nothing is left over to test (docs/effects.md). So an effect of parameters theta, of usual
+size s, moves alpha by -B' theta unseen, and the common scale by -(B v)' theta, with v its direction
+and B as of any effect (`derivative`). What the data do tell of it leaves less of it,
+
+    (B v)' C (B v),        C = (H_tt - H_te H^-1 H_et + 1 / s^2)^-1,
+
+and nothing worth a line where they tell it well, as three loads do.
+
+Magnets whose positions have a declared uncertainty (columns E_X and E_Y).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.arrays import Array
+from truenewton.estimation.effects.catalogue import (
+    FIRST_FUNCTION,
+    POSITIONS,
+    on_balance,
+    parts_of_positions,
+)
+from truenewton.estimation.effects.correction import correction, with_error
+from truenewton.estimation.effects.derivative import Derivative, FittedRows, scored
+from truenewton.estimation.effects.examination import ExaminedFit
+from truenewton.estimation.effects.readings import (
+    Field,
+    RowFunctions,
+    always,
+    of_all,
+    of_each,
+    on_readings,
+)
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import UnseenError
+from truenewton.estimation.findings.scale_budget import MAGNET_COEFFICIENT, NEGLIGIBLE_SCALE_ERROR
+from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.records.campaign import load_temperatures
+from truenewton.statics.layout import Layout
+
+MAX_ACTUATORS_BY_COIL = (
+    2000  # whose coils are judged each by itself: beyond, there is no room for it
+)
+MIN_REMAINING_SIZE = 0.1  # of the usual size: what is left of an effect that the data tell
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """An effect that two loads do not show.
+
+    Attributes
+    ----------
+    name
+        What may be, in words, with its usual size.
+    derivative
+        Of a fit, by one usual size; None where the budget has it already.
+    """
+
+    name: str
+    derivative: Callable[[FittedRows], Derivative | None]
+
+
+def static_gain(fit: FittedRows) -> Derivative | None:
+    """Let a coil's gain for elastic forces be another than for those at rest: g = -c^ + rest."""
+    if fit.problem.n > MAX_ACTUATORS_BY_COIL:
+        return None
+    moments = fit.moments
+    of_load = moments.of_load * moments.weight[:, None]
+    share = (of_load / of_load.sum(axis=0)).T
+
+    def elastic(at: FittedRows, some: slice) -> Array:
+        fitted = at.fitted(some)
+        return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
+
+    field = Field("elastic", elastic)
+    return of_each(fit, on_readings(fit, always(moments), field, FIRST_FUNCTION), FIRST_FUNCTION)
+
+
+def borne(fit: FittedRows) -> Derivative:
+    """Let something else bear a part of each load but the first."""
+    return on_balance(fit, 5e-3 * _up(fit))
+
+
+def warmer_magnets(fit: FittedRows) -> Derivative | None:
+    """Let the bias magnets, two each, be 1 K warmer under each load but the first."""
+    if np.isfinite(load_temperatures(fit.problem.campaign)).all():
+        return None  # E_SYST has it
+    bias = float(fit.minimum.values[fit.problem.unknowns.bias])
+    return on_balance(fit, 2 * MAGNET_COEFFICIENT * bias * _up(fit))
+
+
+def with_magnets_unsure(left: ExaminedFit) -> Minimum:
+    """Return the minimum, less sure by what the bias magnets lose if coils do by their warmth.
+
+    Coils that lose theta under a load, where no TEMPERATURE is recorded, may be warmer by theta /
+    `MAGNET_COEFFICIENT`; the bias magnets are so too, which nothing shows.
+    """
+    minimum = left.minimum
+    lost = [e.size for e in left.effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
+    fit = FittedRows(left.problem, left.moments, minimum, independent=True)
+    derivative = warmer_magnets(fit) if lost else None
+    if derivative is None:
+        return minimum
+    moves = scored(fit, derivative).moves
+    t = min(len(minimum.reading_covariance), moves.shape[1])
+    covariance = minimum.reading_covariance.copy()
+    covariance[:t, :t] += (lost[0] / MAGNET_COEFFICIENT) ** 2 * moves[:, :t].T @ moves[:, :t]
+    return replace(minimum, reading_covariance=covariance)
+
+
+def zero_by_load(fit: FittedRows) -> Derivative:
+    """Move the zero of all readings under each load but the first."""
+    size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
+    rows = RowFunctions((fit.moments.of_load * fit.moments.weight[:, None]).T[1:])
+    field = Field("zero", lambda at, _: np.full((len(at.moments.mean), 1), size))
+    return of_all(fit, on_readings(fit, rows, field), slice(0, len(rows.first)))
+
+
+def _up(fit: FittedRows) -> Array:
+    """(g, 3, L - 1) a force of 1 N in the balance under each load but the first."""
+    return np.eye(3)[None, :, :1] * fit.moments.of_load[:, None, 1:]
+
+
+UNDETECTABLE_EFFECTS: tuple[Unseen, ...] = (
+    Unseen("5 mN of an added weight rests on something else", borne),
+    Unseen("all zeros shift by a tenth of a reading's noise under a load", zero_by_load),
+    Unseen("the bias magnets are 1 K warmer under a load", warmer_magnets),
+    Unseen("coil gains differ by 1 % between static and elastic forces", static_gain),
+)
+
+
+def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
+    """Return what the data cannot show would do to the common scale, the largest first."""
+    found = sorted(_unseen(left), key=lambda error: -error.relative)
+    return tuple(found)
+
+
+def _unseen(left: ExaminedFit) -> Iterator[UnseenError]:
+    fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
+    # Of a relative change of all: alpha -> alpha (1 + e).
+    direction = fit.alpha / (fit.alpha @ fit.alpha)
+    for effect in UNDETECTABLE_EFFECTS:
+        derivative = effect.derivative(fit)
+        if derivative is None:
+            continue
+        result = scored(fit, derivative)
+        along = result.moves_along(direction)
+        told = result.information + np.eye(len(along))  # in units of 1 / s^2
+        try:
+            left_open = scipy.linalg.solve(told, along, assume_a="pos")
+        except np.linalg.LinAlgError:  # noise feigns less than nothing
+            left_open = along
+        moved = float(np.sqrt(along @ left_open))
+        if moved > max(NEGLIGIBLE_SCALE_ERROR, MIN_REMAINING_SIZE * float(np.linalg.norm(along))):
+            yield UnseenError(effect.name, moved)
+
+
+def positions_are_unsure(layout: Layout) -> bool:
+    """Tell whether the positions of the magnets have a declared uncertainty."""
+    return layout.x_error is not None or layout.y_error is not None
+
+
+def with_positions_unsure(left: ExaminedFit) -> Minimum:
+    """Return the minimum of an examined fit with what unsure positions add to its covariance.
+
+    How far magnets stand off the data say themselves where they can; else as far as is declared.
+    """
+    if any(effect.code == POSITIONS.code for effect in left.effects):
+        return left.minimum  # they are unknowns already
+    fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
+    taken_out = correction(fit, POSITIONS)
+    if taken_out is not None:
+        return taken_out.minimum
+    layout = left.problem.campaign.layout
+    errors = np.array(
+        [
+            np.zeros(fit.problem.n) if error is None else error[layout.enabled]
+            for error in (layout.x_error, layout.y_error)
+        ]
+    )
+    minimum, first = left.minimum, 0
+    for part in parts_of_positions(fit):  # what all of them move does not fit into one array
+        those = errors[:, first : first + part.count // 2]
+        first += part.count // 2
+        at = replace(fit, minimum=minimum)
+        minimum = with_error(at, scored(fit, part).moves, np.diag(those.ravel() ** 2))
+    return minimum

@@ -1,0 +1,351 @@
+"""Maximum likelihood: the noise where it is, in the readings (docs/likelihood.md).
+
+For one shape with mean reading c (of r readings, each with covariance Sigma), the imbalance and its
+covariance are
+
+    rho = A diag(alpha) c + q + k,        S / r,    S = A diag(alpha) Sigma diag(alpha) A'
+
+and half the sum of r rho' S^-1 rho is minimised. The likeliest noiseless reading is c^ = c - P rho
+with P = Sigma diag(alpha) A' S^-1; with J = [A diag(c^) | dk/dpsi] the gradient is the sum of
+r J' S^-1 rho. M, the sum of r J' S^-1 J, is not the information: c^ still carries the noise
+V = Sigma - Sigma diag(alpha) A' S^-1 A diag(alpha) Sigma, which feigns, for each distinct shape,
+
+    D = (A' S^-1 A) o V        on alpha                                   (o: elementwise)
+
+H = M - D is the information, and H^-1 M H^-1 the covariance. Noise need not be independent: motion
+of the mirror itself balances, so that less of Sigma reaches rho and P; V has all of it. Everything
+is written in sums over shapes (`shape_sums.ShapeSums`), so that an iteration costs O(n^3) whatever
+the number of shapes.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.likelihood.minimum import DataSet, Minimum, NoiseInformation, Prior
+from truenewton.estimation.readings.moments import ShapeSums
+from truenewton.linalg import ROWS_AT_ONCE, mirrored
+
+MAX_LIKELIHOOD_STEPS = 60
+CONVERGED_SQUARED_STEP = 1e-10  # squared step in standard errors at which the iteration ends
+UNSHORTENED_STEP = 1e-3  # below which no step is shortened
+MAX_ALPHA = 1e6  # of alpha, true over commanded force
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """The sums at one point: twice the objective, gradient, H without the prior, and D.
+
+    Of H the upper triangle alone; LAPACK, in the order of Fortran, takes it for the lower one.
+    """
+
+    chi2: float
+    gradient: Array
+    h: Array
+    noise_information: NoiseInformation
+
+    @property
+    def m(self) -> Array:
+        """(u, u) M."""
+        return mirrored(self.noise_information.taken_from(self.h, -1.0).T)
+
+
+def chi2_at(a: Array, data: Sequence[DataSet], values: Array) -> float:
+    """Return the sum of r rho' S^-1 rho, for (3, n) arms and (u,) values of the unknowns."""
+    n = a.shape[1]
+    total = 0.0
+    for part in data:
+        scaled_arms = a * values[:n]
+        _, _, rho_rho = _imbalance(part.sums, scaled_arms, part.external(values[n:]))
+        s = (scaled_arms * part.variance) @ scaled_arms.T + part.disturbance
+        total += float(np.trace(np.linalg.solve(s, rho_rho)))
+    return max(total, 0.0)
+
+
+def _imbalance(sums: ShapeSums, scaled_arms: Array, k: Array) -> tuple[Array, Array, Array]:
+    """Return the sums of r rho (L, 3) by load, and r rho c' (3, n) and r rho rho' (3, 3) of all."""
+    product = scaled_arms @ sums.square
+    cross = scaled_arms @ sums.known_force.T
+    mean = sums.force @ scaled_arms.T + sums.known
+    rho_c = product + sums.known_force + k.T @ sums.force
+    rho_rho = (
+        product @ scaled_arms.T + cross + cross.T + sums.known_square
+        + mean.T @ k + k.T @ mean + (k.T * sums.weight) @ k
+    )  # fmt: skip
+    return mean + sums.weight[:, None] * k, rho_c, rho_rho
+
+
+def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
+    """Evaluate objective, gradient, H and D at a point."""
+    n, u = a.shape[1], len(values)
+    alpha, psi = values[:n], values[n:]
+    scaled_arms = a * alpha
+    chi2, gradient, h = 0.0, np.zeros(u), np.zeros((u, u))
+    diagonal, roots = np.zeros(n), []
+    for part in data:
+        sums = part.sums
+        rho, rho_c, rho_rho = _imbalance(sums, scaled_arms, part.external(psi))
+        noisy = scaled_arms * part.variance  # A diag(alpha) Sigma
+        s_inverse = np.asarray(
+            np.linalg.inv(noisy @ scaled_arms.T + part.disturbance), dtype=np.float64
+        )
+        root = np.linalg.cholesky(s_inverse).T  # S^-1 = root' root
+        white, taken = (
+            root @ a,
+            np.sqrt(part.excess) * (root @ noisy),
+        )  # A' S^-1 A = white' white; V = Sigma - taken' taken
+        p = noisy.T @ s_inverse
+        # c^ = c - P rho, summed: rho c^' and c^ c^' = c c' - P half - half' P'.
+        rho_fitted = rho_c - rho_rho @ p.T
+        half = rho_c - 0.5 * rho_rho @ p.T
+        fitted = sums.force - rho @ p.T
+        chi2 += float(np.sum(s_inverse * rho_rho))
+        gradient[:n] += np.sum((s_inverse @ a) * rho_fitted, axis=0)
+        # H: c^ c^' less, for each shape, V.
+        left = np.concatenate([p, half.T, -sums.shapes * taken.T], axis=1)
+        _add_product(h, white, sums.square, left, np.concatenate([half, p.T, taken]))
+        once = sums.shapes * part.excess * np.sum(white**2, axis=0) * part.variance
+        h[np.arange(n), np.arange(n)] -= once
+        diagonal += once
+        roots.append(np.sqrt(sums.shapes) * (white[:, None] * taken).reshape(9, n))
+        gradient[n:] += _add_nuisance(h, part, s_inverse, a, fitted, rho)
+    # In perfect balance rounding may leave less than nothing.
+    return _Terms(max(chi2, 0.0), gradient, h, NoiseInformation(diagonal, np.concatenate(roots)))
+
+
+def _add_product(matrix: Array, white: Array, square: Array, left: Array, right: Array) -> None:
+    """Add the upper triangle of (white' white) o (square - left right), some rows at a time."""
+    n = white.shape[1]
+    for start in range(0, n, ROWS_AT_ONCE):
+        end = min(start + ROWS_AT_ONCE, n)
+        rows, columns = slice(start, end), slice(start, n)
+        block = left[rows] @ right[:, columns]
+        np.subtract(square[rows, columns], block, out=block)
+        block *= white[:, rows].T @ white[:, columns]
+        matrix[rows, columns] += block
+
+
+def _add_nuisance(
+    matrix: Array, part: DataSet, s_inverse: Array, a: Array, force: Array, rho: Array
+) -> Array:
+    """Add what (L, n) summed forces say of the unknowns beside alpha; return their gradient."""
+    n, gradient = a.shape[1], np.zeros(len(matrix) - a.shape[1])
+    for f, r, weight, nuisance in zip(force, rho, part.sums.weight, part.nuisance, strict=True):
+        pull = nuisance.T @ s_inverse
+        matrix[:n, n:] += f[:, None] * (pull @ a).T
+        matrix[n:, n:] += weight * pull @ nuisance
+        gradient += pull @ r
+    return gradient
+
+
+def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> Minimum:
+    """Find the likeliest alpha and nuisance.
+
+    Parameters
+    ----------
+    a
+        (3, n) arms of the enabled actuators.
+    data
+        The sets of shapes.
+    prior
+        What is known besides.
+    start
+        (u,) where to begin.
+
+    Raises
+    ------
+    NotConverged
+        The iteration does not settle.
+    """
+    values, before = start.copy(), np.inf
+    for iteration in range(1, MAX_LIKELIHOOD_STEPS + 1):
+        try:
+            terms = _terms(a, data, values)
+        except np.linalg.LinAlgError:  # alpha ran away along a pattern that nothing holds
+            raise _no_more_than_noise() from None
+        pull = prior.pull(values)
+        step, decrement, factor = _step(terms, prior, terms.gradient + pull)
+        # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.
+        if decrement < CONVERGED_SQUARED_STEP or (
+            decrement < UNSHORTENED_STEP and decrement > 0.25 * before
+        ):
+            return _minimum(terms, prior, values, factor, iteration)
+        before = decrement
+        if decrement >= UNSHORTENED_STEP:
+            objective = float(terms.chi2 + (values - prior.mean) @ pull)
+            step = step * _shortening(a, data, prior, values, step, objective)
+        values = values - step
+        del terms, factor  # the next ones need their room
+    raise NotConverged(
+        f"the likelihood has not settled after {MAX_LIKELIHOOD_STEPS} steps",
+        remedy="look at `truenewton info`: outliers, or shapes that drown in noise",
+        got=float(decrement),
+        want=CONVERGED_SQUARED_STEP,
+    )
+
+
+def expected(a: Array, data: Sequence[DataSet], prior: Prior, values: Array) -> Minimum:
+    """Return what `minimise` will state on the average, from sums over noiseless readings.
+
+    These feign nothing: at the true values M is the information itself, and noise will add D to M
+    alone. So H of noisy readings is M of noiseless ones, and their covariance H^-1 (H + D) H^-1.
+
+    Parameters
+    ----------
+    a, data, prior
+        As for `minimise`; the sums of forces that balance with ``values``.
+    values
+        (u,) the truth.
+
+    Raises
+    ------
+    RankDeficient
+        The shapes leave some pattern of alpha free.
+    """
+    terms = _terms(a, data, values)
+    terms = replace(terms, h=terms.m)
+    factor = _step(terms, prior, terms.gradient)[2]
+    return _minimum(terms, prior, values, factor, 0)
+
+
+def _shortening(
+    a: Array, data: Sequence[DataSet], prior: Prior, values: Array, step: Array, objective: float
+) -> float:
+    """Return the largest power of 1/2 of the step that lowers the objective."""
+    for halving in range(12):
+        trial = values - step * 0.5**halving
+        from_prior = float((trial - prior.mean) @ prior.pull(trial))
+        if chi2_at(a, data, trial) + from_prior <= objective:
+            break
+    return 0.5**halving
+
+
+def _step(terms: _Terms, prior: Prior, gradient: Array) -> tuple[Array, float, Array | None]:
+    """Return the step of Newton, its squared length in standard errors, and the factor of H.
+
+    H where it is positive definite, as it is near the minimum; M while far, and no factor.
+    """
+    free = len(gradient) - (prior.measured if prior.held else 0)
+    h = prior.added_to(terms.h[:free, :free].copy())
+    factor, failed = dpotrf(h.T, lower=True, clean=False, overwrite_a=True)
+    used = factor
+    if failed:
+        m = terms.noise_information.taken_from(prior.added_to(terms.h[:free, :free].copy()), -1.0)
+        used, failed_too = dpotrf(m, lower=True, clean=False, overwrite_a=True)
+        if failed_too:
+            raise _no_more_than_noise()
+    step = np.zeros_like(gradient)
+    step[:free] = scipy.linalg.cho_solve((used, True), gradient[:free], check_finite=False)
+    return step, float(gradient @ step), None if failed else factor
+
+
+def _minimum(
+    terms: _Terms, prior: Prior, values: Array, factor: Array | None, iterations: int
+) -> Minimum:
+    """Return the minimum with its covariance, H^-1 M H^-1, from readings and weights apart.
+
+    The errors of the weights are eliminated: against quiet readings they are all but degenerate
+    with the common scale, and H^-1 of all unknowns would drown in rounding what the readings say.
+    With theta the other unknowns, which come first in the factor, and T = H_tt^-1 M_tu, the scores
+    g move theta by H_tt^-1 g_t - T C (g_u - T' g_t), C = (1 + M_uu - M_ut T)^-1.
+    """
+    n, t = len(terms.noise_information.diagonal), len(values) - prior.measured
+    if factor is None or np.abs(values[:n]).max() > MAX_ALPHA:  # where weights count for nothing
+        raise _no_more_than_noise()
+    inverse = mirrored(dpotri(factor[:t, :t], lower=True, overwrite_c=True)[0].T)
+    m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
+    turn = inverse @ m_tu
+    left = _not_negative(m_uu - m_tu.T @ turn)
+    measured = np.linalg.inv(np.eye(prior.measured) + left)
+    changes = -turn @ measured
+    # M = H + D, so H^-1 M H^-1 = H^-1 + H^-1 D H^-1; likewise in what follows.
+    noise_turn = terms.noise_information @ turn[:n]
+    by_turn = _not_negative(turn[:n].T @ noise_turn)
+    rest = left + by_turn
+    cross = -(inverse[:, :n] @ noise_turn)
+    wide = np.sqrt(terms.noise_information.diagonal)[:, None] * inverse[:n]
+    less = terms.noise_information.root @ inverse[:n]
+    share = float(
+        terms.noise_information.diagonal @ np.diagonal(inverse)[:n]
+        - np.sum(less[:, :n] * terms.noise_information.root)
+        + np.sum(measured * by_turn)
+    )
+    whole = dsyrk(1.0, wide.T, beta=1.0, c=inverse.T, lower=True, overwrite_c=True)
+    del wide  # as large as all of H
+    whole = dsyrk(-1.0, less.T, beta=1.0, c=whole, lower=True, overwrite_c=True)
+    if prior.held:
+        changes = -turn
+    else:
+        whole += cross @ changes.T + changes @ cross.T + changes @ rest @ changes.T
+    information, whole = prior.added_to(terms.h), mirrored(whole.T)
+    return Minimum(
+        values, terms.chi2, information, terms.noise_information, share, whole, changes, iterations
+    )
+
+
+def _not_negative(matrix: Array) -> Array:
+    """Return the nearest covariance to a small symmetric matrix that rounding may have spoiled."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
+    """Return (u,) weighted least squares, noise taken out: alpha = 1 in S, linear in the rest."""
+    n = a.shape[1]
+    u = len(prior.mean)
+    matrix, right = prior.added_to(np.zeros((u, u))), -prior.pull(np.zeros(u))
+    nothing = np.zeros((n, 0))
+    for part in data:
+        sums = part.sums
+        s_inverse = np.asarray(
+            np.linalg.inv((a * part.variance) @ a.T + part.disturbance), dtype=np.float64
+        )
+        white, weighed = np.linalg.cholesky(s_inverse).T @ a, s_inverse @ a
+        _add_product(matrix, white, sums.square, nothing, nothing.T)
+        at = np.arange(n)
+        matrix[at, at] -= sums.shapes * part.excess * part.variance * np.sum(white**2, axis=0)
+        rho = sums.weight[:, None] * part.load + sums.known
+        right[n:] -= _add_nuisance(matrix, part, s_inverse, a, sums.force, rho)
+        right[:n] -= np.sum(weighed * (part.load.T @ sums.force + sums.known_force), axis=0)
+    # Errors of the weights stay 0 for a start: against little noise they are all but degenerate.
+    values, free = prior.mean.copy(), len(right) - prior.measured
+    inner, right = matrix[:free, :free], right[:free] - matrix[:free, free:] @ values[free:]
+    factor, failed = dpotrf(inner.T, lower=True, clean=False)
+    if not failed:
+        values[:free] = scipy.linalg.cho_solve((factor, True), right, check_finite=False)
+        return values
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", scipy.linalg.LinAlgWarning)
+        try:
+            values[:free] = scipy.linalg.solve(inner, right, assume_a="sym")
+        except (scipy.linalg.LinAlgWarning, np.linalg.LinAlgError):
+            raise _no_more_than_noise() from None
+    return values
+
+
+def _no_more_than_noise() -> RankDeficient:
+    return RankDeficient(
+        "the data hold no more than noise along some pattern of alpha",
+        remedy="apply more shapes, larger or more often, or add a stiffness matrix",
+    )
+
+
+def gram_of_e(a: Array, part: DataSet) -> Array:
+    """Return (u, u) E' E of the paper's eq. 4 from the sums, with (3, n) arms a."""
+    n = a.shape[1]
+    gram = np.zeros((n + part.nuisance.shape[2],) * 2)
+    for start in range(0, n, ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        np.multiply(a[:, rows].T @ a, part.sums.square[rows], out=gram[:n, :n][rows])
+    _add_nuisance(gram, part, np.eye(3), a, part.sums.force, np.zeros_like(part.load))
+    gram[n:, :n] = gram[:n, n:].T
+    return gram

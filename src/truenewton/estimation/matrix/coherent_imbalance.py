@@ -1,0 +1,313 @@
+"""Whether what the columns of a stiffness matrix leave out of balance is noise, or a mistake.
+
+With the arms A (3, n), orthonormal Q (n, 3) over the same span and M = diag(alpha) K_c, every
+column of M is a set of forces in equilibrium, whatever its sensor reads:
+
+    e_j = Q' M_j = 0,      d e_j / d log alpha_i = Q_i M_ij
+
+Noise of the elements leaves e of variance Q' diag(a^2 + p^2 M_ij^2) Q c_j, with a, p and the
+factors c_j of the columns as likely as can be. A mistake of geometry or processing leaves a
+pattern instead, however small. Positions that are wrong by a smooth field, or by the radius of a
+ring, leave -dA M (in the units of Q). A diagonal, or couplings changed by their distance, leave
+Q' dM. Each such pattern z is tested alone beside alpha, as one parameter against the scatter of
+the rest:
+
+    share = (z' r)^2 / r' r,    r: whitened residual
+
+On sound matrices share is one of some fifty, each about 1 / f of f degrees of freedom. The test
+needs neither symmetry nor a model of the sensors. How far alpha moves if the pattern is fitted as
+well says what it is worth.
+
+A few mistakes leave no imbalance. If positions are stretched to one side, alpha takes it up as a
+gradient; if a part of the rigid motions is removed, the balance is better than it was measured.
+Then the gains of the sensors that symmetry implies, log g = log(alpha g) - log alpha, follow alpha
+or have a gradient, which those of sound sensors do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.thresholds import LIMITS
+from truenewton.estimation.matrix.couplings import pair_ratios, relative_couplings
+
+MIN_ACTUATORS = 12
+NOISE_STEPS = 10
+PRIOR_READINGS = 12.0  # by which the noise of a column is held to that of the others
+SMOOTH_DEGREE = 3  # of fields of wrong positions
+MIN_RING_GAP = 0.03  # of the largest radius, between two rings
+MAX_RINGS = 20
+DISTANCE_BINS = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)  # quantiles of the distances of pairs
+ALTERNATIVES = 0.8  # of the largest share: patterns that explain as much are named as well
+MIN_SPREAD = 3.0  # of log alpha in terms of its error
+
+
+class Pattern(NamedTuple):
+    """A mistake, the imbalance (3, n) of the columns that it leaves, and what to do about it."""
+
+    name: str
+    imbalance: Array
+    remedy: str = "find out how the matrix was processed, and use it as it was measured"
+
+
+class CoherentImbalance(NamedTuple):
+    """The mistake that explains most of the imbalance of the columns.
+
+    Attributes
+    ----------
+    names
+        Of the pattern, and of others that explain nearly as much.
+    share
+        Of the imbalance, in units of its noise, that it explains.
+    shift
+        (n,) how far log alpha moves if it is fitted, too.
+    column_noise
+        (n,) variance of the imbalance of each column in terms of the median.
+    remedy
+        What to do about the mistake.
+    """
+
+    names: tuple[str, ...]
+    share: float
+    shift: Array
+    column_noise: Array
+    remedy: str
+
+
+def coherent_imbalance(commanded: Array, arms: Array, alpha: Array) -> CoherentImbalance | None:
+    """Return the pattern that explains most of what the columns leave; None of a few actuators.
+
+    Parameters
+    ----------
+    commanded
+        (n, n) force of actuator i per reading of sensor j.
+    arms
+        (3, n) in comparable units.
+    alpha
+        (n,) as fitted.
+    """
+    n = len(commanded)
+    if n < MIN_ACTUATORS:
+        return None
+    q = np.linalg.qr(arms.T)[0]
+    m = alpha[:, None] * commanded
+    m = m / np.median(np.abs(np.diag(m)))
+    e = (q.T @ m).T.ravel()
+    by_alpha = np.einsum("ia,ij->jai", q, m).reshape(3 * n, n)
+    mean_free = np.linalg.qr(np.column_stack([np.ones(n), np.eye(n)[:, 1:]]))[0][:, 1:]
+    by_alpha = by_alpha @ mean_free  # the common scale is no unknown
+    patterns = list(patterns_of(m, arms, q))
+    z = np.stack([each.imbalance.T.ravel() for each in patterns], axis=1)
+    root = _noise_root(q, m, e, by_alpha)
+    basis, triangle = scipy.linalg.qr(_whitened(root, by_alpha), mode="economic")
+    residual = _whitened(root, e)
+    by_fit = basis.T @ residual
+    residual = residual - basis @ by_fit
+    white = _whitened(root, z)
+    inside = basis.T @ white
+    white = white - basis @ inside
+    length = np.linalg.norm(white, axis=0)
+    along = (white.T @ residual) / np.where(length > 0.0, length, np.inf)
+    shares = along**2 / float(residual @ residual)
+    best = int(np.argmax(shares))
+    order = [k for k in np.argsort(-shares) if shares[k] > ALTERNATIVES * shares[best]]
+    names = dict.fromkeys(patterns[k].name for k in order)
+    size = along[best] / length[best]
+    shift = -mean_free @ np.linalg.solve(triangle, by_fit - inside[:, best] * size)
+    volume = np.linalg.det(root) ** (-2.0 / 3.0)
+    noise = volume / np.median(volume)
+    return CoherentImbalance(tuple(names), float(shares[best]), shift, noise, patterns[best].remedy)
+
+
+def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
+    """Yield the imbalance that mistakes leave of an (n, n) matrix; (3, n) arms, (n, 3) Q."""
+    x, y = arms[1] / arms[0], arms[2] / arms[0]
+    largest = float(np.hypot(x, y).max())
+    x, y = x / largest, y / largest
+    inverse = np.linalg.inv(arms @ q)  # Q' = inverse A
+
+    def of_positions(name: str, dx: Array, dy: Array) -> Pattern:
+        moved = -inverse @ (np.stack([0.0 * dx, dx, dy]) * arms[0]) @ m
+        return Pattern(name, moved, "compare X and Y of the actuators with the drawing")
+
+    nothing, radius = np.zeros_like(x), np.hypot(x, y)
+    for p in range(SMOOTH_DEGREE + 1):
+        for r in range(SMOOTH_DEGREE + 1 - p):
+            if p + r >= 2:  # below, A is only transformed
+                field = x**p * y**r
+                yield of_positions("a smooth distortion of the positions", field, nothing)
+                yield of_positions("a smooth distortion of the positions", nothing, field)
+    for power in (2, 3):
+        part = (x * radius ** (2 * power), y * radius ** (2 * power))
+        yield of_positions("radii (positions along the surface, a scale that varies)", *part)
+    ring = _rings(radius)
+    for number in range(ring.max() + 1 if ring.max() < MAX_RINGS else 0):
+        part = np.where(ring == number, 1.0, 0.0) / np.maximum(radius, 1e-9)
+        yield of_positions(f"the radius of ring {number + 1}", part * x, part * y)
+        yield of_positions(f"the rotation of ring {number + 1}", -part * y, part * x)
+    own = np.diag(m)
+    yield Pattern("the diagonal of the matrix", q.T * own)
+    yield Pattern("the diagonal of the matrix", q.T * np.mean(np.abs(own)))
+    apart = np.hypot(x[:, None] - x, y[:, None] - y)
+    edges = np.quantile(apart[~np.eye(len(x), dtype=bool)], DISTANCE_BINS)
+    for low, high in pairwise(edges):
+        some = (apart >= low) & (apart <= high) & (apart > 0.0)
+        yield Pattern("couplings that were changed by their distance", q.T @ (m * some))
+        yield Pattern("couplings that were changed by their distance", q.T @ some.astype(float))
+    yield Pattern("couplings compressed or stretched", q.T @ (m * np.log(np.abs(m) + 1e-300)))
+
+
+def doubts_of_balance(
+    commanded: Array, arms: Array, alpha: Array, covariance: Array, ids: NDArray[np.int64]
+) -> tuple[tuple[Finding, ...], Array]:
+    """Return which mistakes the balance of a matrix shows, and the (n, n) covariance with them.
+
+    If one mistake explains much of the imbalance, alpha may be wrong by as much as it moves where
+    the mistake is fitted as well: that much is added to the (n, n) ``covariance`` of (n,) alpha.
+    """
+    said = list[Finding]()
+    found = coherent_imbalance(commanded, arms, alpha)
+    stated = float(np.sqrt(np.mean(np.diag(covariance) / alpha**2)))
+    if found is not None and (far := found.column_noise > LIMITS.column_noise).any():
+        said.append(Finding.of(Code.COLUMNS_UNBALANCED, actuators=ids[far]))
+    if found is not None and found.share > LIMITS.pattern_share:
+        moved = float(np.sqrt(np.mean(found.shift**2)))
+        if moved > LIMITS.pattern_shift * stated:
+            mistake = Finding.of(
+                Code.COHERENT_IMBALANCE,
+                pattern=" or ".join(found.names[:3]),
+                share=found.share,
+                shift=moved,
+                ratio=moved / stated,
+                remedy=found.remedy,
+            )
+            shift = alpha * found.shift
+            # wrong alpha makes wrong gains, so these are not asked
+            return (mistake, *said), covariance + np.outer(shift, shift)
+    gains = sensor_gains(commanded, arms, alpha, covariance)
+    if abs(gains.with_alpha) > LIMITS.gain_correlation and gains.sigmas > LIMITS.gain_sigmas:
+        said.append(Finding.of(Code.GAINS_FOLLOW_ALPHA, correlation=gains.with_alpha))
+    elif gains.gradient_sigmas > LIMITS.gradient_sigmas:
+        said.append(Finding.of(Code.GAINS_HAVE_GRADIENT, sigmas=gains.gradient_sigmas))
+    return tuple(said), covariance
+
+
+class SensorGains(NamedTuple):
+    """What is odd about the gains of the sensors that symmetry implies.
+
+    Attributes
+    ----------
+    with_alpha
+        Their correlation with alpha; 0 if alpha varies no more than its error.
+    sigmas
+        Its size in units of its standard deviation.
+    gradient_sigmas
+        Their gradient across the mirror in units of its standard deviation.
+    """
+
+    with_alpha: float
+    sigmas: float
+    gradient_sigmas: float
+
+
+def sensor_gains(commanded: Array, arms: Array, alpha: Array, covariance: Array) -> SensorGains:
+    """Return whether gains by symmetry follow (n,) alpha, or have a gradient.
+
+    What errors of alpha do to both is taken out. Few smooth patterns make up most of these errors,
+    so a correlation of gains with alpha scatters far more than by 1 / root n.
+    """
+    if (alpha <= 0.0).any() or len(alpha) < MIN_ACTUATORS:
+        return SensorGains(0.0, 0.0, 0.0)
+    log_alpha = np.log(alpha) - np.mean(np.log(alpha))
+    log_ratio, misfit = pair_ratios(commanded)
+    log_gain = log_ratio - log_alpha
+    log_gain = log_gain - np.mean(log_gain)
+    relative = covariance / np.outer(alpha, alpha)
+    of_gains = _covariance_of_ratios(commanded, misfit) + relative
+    noise = float(np.mean(np.diag(relative)))
+    own = max(float(np.mean(log_gain**2)) - noise, noise, 1e-300)
+    spread = float(np.mean(log_alpha**2)) - noise
+    with_alpha = sigmas = 0.0
+    if spread > MIN_SPREAD**2 * noise:
+        together = float(np.mean(log_gain * log_alpha)) + noise
+        with_alpha = together / float(np.sqrt(spread * own))
+        scatter = max(float(np.mean(log_gain**2) - np.mean(np.diag(of_gains))), 0.0)
+        variance = log_alpha @ of_gains @ log_alpha + scatter * (log_alpha @ log_alpha)
+        sigmas = len(alpha) * abs(together) / float(np.sqrt(variance))
+    position = arms[1:].T - arms[1:].T.mean(axis=0)
+    position = np.linalg.qr(position)[0]
+    gradient = position.T @ log_gain
+    chi2 = gradient @ np.linalg.solve(position.T @ of_gains @ position, gradient)
+    return SensorGains(with_alpha, sigmas, float(np.sqrt(chi2 / 2.0)))
+
+
+def _covariance_of_ratios(commanded: Array, misfit: Array) -> Array:
+    """Return the (n, n) covariance of log(alpha g) from the (n, n) misfit of pairs."""
+    linked = np.isfinite(misfit)
+    c = relative_couplings(commanded)
+    weight = np.where(linked, np.abs(c * c.T), 0.0)
+    laplacian = np.diag(weight.sum(axis=1)) - weight
+    pairs = max(np.count_nonzero(linked) / 2 - len(c), 1.0)
+    square = 0.5 * float(np.sum(weight * np.where(linked, misfit, 0.0) ** 2)) / pairs
+    return np.asarray(square * np.linalg.pinv(laplacian, hermitian=True))
+
+
+def _rings(radius: Array) -> NDArray[np.int64]:
+    """Return (n,) the ring of each actuator, from the inside: radii with gaps between them."""
+    ordered = np.sort(radius)
+    edges = ordered[1:][np.diff(ordered) > MIN_RING_GAP]
+    return np.asarray(np.digitize(radius, edges - 1e-9), dtype=np.int64)
+
+
+def _noise_root(q: Array, m: Array, e: Array, by_alpha: Array) -> Array:
+    """Return (n, 3, 3) inverse roots of the noise of the imbalance of each column.
+
+    Steps are those of a minorant of the likelihood, in which no variance becomes negative (Zhou et
+    al., J. Comput. Graph. Stat. 28, 350, 2019).
+    """
+    n = len(m)
+    laws = np.stack([np.broadcast_to(np.eye(3), (n, 3, 3)), np.einsum("ia,ij,ib->jab", q, m**2, q)])
+    laws[1] *= 3.0 / np.trace(laws[1], axis1=1, axis2=2).mean()
+    size, column = np.full(2, 0.5 * float(np.mean(e**2))), np.ones(n)
+    for _ in range(NOISE_STEPS):
+        root = _root(np.tensordot(size, laws, 1) * column[:, None, None])
+        basis = _orthonormal(_whitened(root, by_alpha))
+        r = _whitened(root, e)
+        r = (r - basis @ (basis.T @ r)).reshape(n, 3)
+        free = 1.0 - np.sum(basis**2, axis=1).reshape(n, 3).mean(axis=1)
+        weighted = np.einsum("jba,jb->ja", root, r)
+        inverse = np.einsum("jca,jcb->jab", root, root)
+        wanted = np.einsum("ja,kjab,jb,j->k", weighted, laws, weighted, column)
+        had = np.einsum("jab,kjba,j->k", inverse, laws, column * free)
+        size = np.maximum(size * np.sqrt(wanted / had), 1e-300)
+        seen = np.sum(r**2, axis=1) + PRIOR_READINGS
+        column = column * np.sqrt(seen / (3.0 * free + PRIOR_READINGS))
+        column /= np.exp(np.mean(np.log(column)))
+    return _root(np.tensordot(size, laws, 1) * column[:, None, None])
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Return columns that span the same, by Cholesky: exact enough to find noise by."""
+    gram = columns.T @ columns
+    gram[np.diag_indices(len(gram))] *= 1.0 + 1e-12
+    factor = scipy.linalg.cholesky(gram, lower=True)
+    return np.asarray(scipy.linalg.solve_triangular(factor, columns.T, lower=True).T)
+
+
+def _root(variance: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(variance)))
+
+
+def _whitened(root: Array, rows: Array) -> Array:
+    """Return (3 n,) or (3 n, m) rows, three of each column, in units of their noise."""
+    n = len(root)
+    return np.asarray(np.matmul(root, rows.reshape(n, 3, -1)).reshape(rows.shape))

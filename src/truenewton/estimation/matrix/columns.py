@@ -1,0 +1,389 @@
+"""The columns of a matrix in balance, each with the noise that it shows.
+
+`ml` on a stiffness matrix: the balance of its columns, each with the noise that it shows.
+
+Column j, the commanded forces per displacement of sensor j, balances but for what the bias magnets
+add to a rigid displacement, 9 numbers b, and for noise of variance V_ij in its elements:
+
+    rho_j = A diag(alpha) k_j + b a_j,    S_j = A diag(alpha^2 V_.j) A'
+
+Columns are independent, so the sum of rho_j' S_j^-1 rho_j is least, as in `likelihood`, of which
+every column would be a data set of its own. Noise in proportion to an element sits where the
+actuator of the column stands; its moment about that place is then known far better than its force.
+Singular vectors mix columns and lose that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.likelihood.minimum import (
+    likeliest_spread,
+    on_logarithms,
+    positive,
+    pull,
+    smooth_patterns,
+)
+from truenewton.estimation.matrix.column_noise import ColumnNoise, likeliest_noise
+
+COVARIANCE_ROUNDING = 1e-13  # of a covariance
+MIN_VARIANCE_SHARE = 0.01  # part of a variance that a fit leaves at least
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of a stiffness matrix.
+
+    Attributes
+    ----------
+    stiffness
+        (n, m) forces per displacement [N/m].
+    a, sensor_arms
+        (3, n) arms of the forces and (3, m) of the sensors, in comparable units.
+    disturbance
+        (m, 3, 3) covariance of what else disturbs the balance [N^2/m^2].
+    start
+        (n,) alpha to begin with.
+    size
+        (n, m) elements with which noise may go in proportion [N/m]; all of the columns unless only
+        some of their modes are looked at.
+    """
+
+    stiffness: Array
+    a: Array
+    sensor_arms: Array
+    disturbance: Array
+    start: Array
+    size: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """At one point: residuals of unit covariance, S^1/2, the design, M and gradient.
+
+    (m, 3), (m, 3, 3), (m, 3, n + 9), (n + 9, n + 9) and (n + 9,).
+    """
+
+    residual: Array
+    root: Array
+    design: Array
+    m: Array
+    gradient: Array
+
+
+def terms_at(
+    c: Columns, alpha: Array, b: Array, variance: Array, held: Array | None = None
+) -> Terms:
+    """Return the terms at (n,) alpha, (3, 3) b; alpha held in S: of weighted least squares."""
+    n, m = c.stiffness.shape
+    rho = ((c.a * alpha) @ c.stiffness + b @ c.sensor_arms).T
+    s = imbalance_covariances(c.a * (alpha if held is None else held), variance) + c.disturbance
+    # A disturbance in one direction may be so large that noise in the others is its rounding.
+    s = s + COVARIANCE_ROUNDING * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    root = np.linalg.cholesky(s)
+    inverse_root = np.linalg.inv(root)
+    residual = np.einsum("mkl,ml->mk", inverse_root, rho)
+    white = inverse_root @ c.a
+    fitted = c.stiffness.T
+    if held is None:
+        fitted = fitted - (variance * alpha[:, None]).T * np.einsum("mki,mk->mi", white, residual)
+    design = np.empty((m, 3, n + 9))
+    np.multiply(white, fitted[:, None, :], out=design[:, :, :n])
+    design[:, :, n:] = np.einsum("mkl,jm->mklj", inverse_root, c.sensor_arms).reshape(m, 3, 9)
+    flat = design.reshape(3 * m, n + 9)
+    m_matrix = np.asarray(flat.T @ flat)
+    return Terms(residual, np.asarray(root), design, m_matrix, flat.T @ residual.ravel())
+
+
+def spurious_information(
+    c: Columns, alpha: Array, root: Array, variance: Array, left: Array | None = None
+) -> Array:
+    """Return (n, n), what noise adds to M in the mean: all, or that which the fit leaves of it.
+
+    D = (A' S^-1/2 L S^-1/2 A) o (diag v - v alpha A' S^-1 A alpha v), summed over columns. With
+    L = 1 this is E[M] less the information I. But the fit of all other unknowns takes away its part
+    of what noise feigns of a pattern, in M as in the gradient. To second order (M - D)^-1 has the
+    mean I^-1, and errors of alpha the covariance I^-1 (I + D) I^-1, where L, (m, 3, 3), is what the
+    fit leaves of the variance of each column.
+    """
+    m, n = len(root), len(alpha)
+    white = np.linalg.inv(root) @ c.a
+    noisy = white * (variance * alpha[:, None]).T[:, None, :]
+    some = white if left is None else np.linalg.cholesky(left).transpose(0, 2, 1) @ white
+    out = np.diag(np.einsum("mki,mki,mi->i", some, some, variance.T))
+    for k in range(3):
+        cross = (some[:, k : k + 1] * noisy).reshape(3 * m, n)
+        out -= cross.T @ cross
+    return np.asarray(out)
+
+
+def left_of_columns(terms: Terms, inverse: Array, feigned: Array) -> Array:
+    """Return the (m, 3, 3) part of each column's unit covariance that the fit leaves.
+
+    1 - X H^-1 X' with the true design X. Noise in that which is at hand makes X H^-1 X' larger, and
+    alpha less sure than H^-1, by as much again: in the sum over columns, by the trace of H^-1 D.
+    """
+    n, (m, _, u) = len(feigned), terms.design.shape
+    inverse = inverse - 2.0 * inverse[:, :n] @ feigned @ inverse[:n]
+    reached = (terms.design.reshape(3 * m, u) @ inverse).reshape(m, 3, u)
+    values, vectors = np.linalg.eigh(np.eye(3) - reached @ terms.design.transpose(0, 2, 1))
+    return np.asarray(
+        (vectors * np.maximum(values, MIN_VARIANCE_SHARE)[:, None]) @ vectors.transpose(0, 2, 1)
+    )
+
+
+def imbalance_covariances(scaled_arms: Array, variance: Array) -> Array:
+    """Return (m, 3, 3) covariances of the imbalance for (n, m) variances of the elements."""
+    pairs = (scaled_arms[:, None] * scaled_arms[None]).reshape(9, -1)
+    return np.asarray((pairs @ variance).T.reshape(-1, 3, 3))
+
+
+def inverse_information(terms: Terms, prior: Array, feigned: Array) -> Array:
+    """Return the (n + 9, n + 9) inverse of M - D and prior; the common factor is held.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    n = len(prior)
+    matrix = terms.m.copy()
+    matrix[:n, :n] += prior - feigned + np.trace(terms.m[:n, :n]) / n**2
+    try:
+        factor = scipy.linalg.cho_factor(matrix, lower=True)
+        return np.asarray(scipy.linalg.cho_solve(factor, np.eye(n + 9)))
+    except np.linalg.LinAlgError:
+        pass
+    raise RankDeficient(
+        "alpha is not unique: two patterns balance the columns almost equally well",
+        remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
+    )
+
+
+ALPHA_STEPS = 12
+NOISE_ROUNDS = 8  # of alpha and noise in turn
+SETTLED_ALPHA_STEP = 0.02  # rms step in terms of the rms error at which alpha has settled
+SETTLED_NOISE_CHANGE = 0.03  # change of the noise at which it has
+START_SPREAD = 0.1  # spread of a population to begin with
+MAX_DISTURBANCE_SHARE = (
+    0.1  # part of a column's variance that may be a disturbance where its noise is judged
+)
+MIN_NOISE = 1e-6  # noise in terms of a typical element, beside which any disturbance is large
+HOPELESS_LOG_LIKELIHOOD = 30.0  # in log likelihood: so much less likely a law is given up
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnFit:
+    """Alpha from columns.
+
+    Attributes
+    ----------
+    alpha, covariance
+        (n,) with mean 1, and its (n, n) covariance.
+    noise
+        What the noise follows.
+    spread
+        Of the population; infinite for none.
+    eigenvalues
+        (n,) squared imbalance that the columns leave in patterns of alpha, in terms of its noise.
+    feigned
+        Variance of alpha in terms of what the information alone lets expect.
+    """
+
+    alpha: Array
+    covariance: Array
+    noise: ColumnNoise
+    spread: float
+    eigenvalues: Array
+    feigned: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Alpha, b, noise and spread that belong together; (m,) weights of columns, and their cost."""
+
+    alpha: Array
+    b: Array
+    noise: ColumnNoise
+    spread: float
+    weight: Array | float = 1.0
+    cost: float = np.inf
+
+
+def fit_columns(columns: Columns, *, population: bool = False) -> ColumnFit:
+    """Fit alpha and what the noise follows, in turn.
+
+    Parameters
+    ----------
+    columns
+        At least as many equations as unknowns.
+    population
+        Take what is not smooth in alpha for samples of a normal population, whose spread the
+        columns give.
+
+    Raises
+    ------
+    NotConverged
+        Alpha does not settle.
+    RankDeficient
+        What is taken for noise would hold some of alpha alone: the columns have another fault.
+    """
+    n, alpha = len(columns.start), columns.start / columns.start.mean()
+    smooth, spread = smooth_patterns(columns.a), START_SPREAD if population else np.inf
+    rough = _rough_noise(columns, alpha, 0.0)
+    best = _alternate(
+        columns, smooth, _Point(alpha, np.zeros((3, 3)), rough, spread), columns.start
+    )
+    # The law by which columns are weighted is judged too well by what is then left of them.
+    other = _rough_noise(columns, best.alpha, float(best.noise.proportional < 0.5))
+    try:
+        again = _alternate(
+            columns, smooth, replace(best, noise=other), worst=best.cost + HOPELESS_LOG_LIKELIHOOD
+        )
+        best = min(best, again, key=lambda each: each.cost)
+    except (NotConverged, RankDeficient):
+        pass
+    noise, prior = best.noise, on_logarithms(smooth, best.spread)
+    variance = noise.of_elements(columns.size) / best.weight * noise.lost
+    alpha, _, terms, inverse, feigned = _settle(columns, best.alpha, best.b, variance, prior)
+    left = left_of_columns(terms, inverse, feigned)
+    feigned = spurious_information(columns, alpha, terms.root, variance, left)
+    inverse = inverse_information(terms, pull(prior, alpha)[1], feigned)
+    held = np.eye(n) - np.outer(alpha, np.full(n, 1.0 / n))
+    inverse = held @ inverse[:n, :n] @ held.T
+    covariance = inverse + inverse @ feigned @ inverse
+    share = float(np.trace(covariance) / np.trace(inverse))
+    eigenvalues = _eigenvalues(columns, terms, feigned)
+    return ColumnFit(alpha, covariance, noise, best.spread, eigenvalues, share)
+
+
+def _alternate(
+    c: Columns,
+    smooth: Array,
+    at: _Point,
+    held: Array | None = None,
+    worst: float = np.inf,
+) -> _Point:
+    """Find alpha, noise and spread in turn until they belong together.
+
+    With alpha held in the covariances for the first time. The cost is minus log likelihood, alpha
+    and b integrated out, and what parameters of the noise must bring; no further beyond the worst.
+    """
+    n, weight = len(at.alpha), np.ones(c.size.shape[1])
+    alpha, b, noise, spread = at.alpha, at.b, at.noise, at.spread
+    for _ in range(NOISE_ROUNDS):
+        variance, prior = noise.of_elements(c.size) / weight, on_logarithms(smooth, spread)
+        alpha, b, terms, inverse, feigned = _settle(c, alpha, b, variance, prior, held)
+        known = held is None
+        held, before, before_spread = None, noise, spread
+        distance = np.sum(terms.residual**2, axis=1) / weight
+        roots = np.log(np.diagonal(terms.root, axis1=1, axis2=2)).sum() + 1.5 * np.log(weight).sum()
+        cost = float(roots) + noise.cost(distance) - 0.5 * float(np.linalg.slogdet(inverse)[1])
+        left = left_of_columns(terms, inverse, feigned)
+        noise, weight = _noise(c, alpha, terms, left)
+        if np.isfinite(spread):
+            log = np.log(positive(alpha))
+            cost += 0.5 * float(log @ prior @ log) + (n - smooth.shape[1]) * float(np.log(spread))
+            found = likeliest_spread(smooth, alpha, inverse[:n, :n], spread)
+            spread = max(found, spread / 3.0)  # the noise is not known yet
+        if cost > worst:
+            break
+        if (
+            known
+            and _same(noise, before)
+            and abs(np.log(spread / before_spread)) < SETTLED_NOISE_CHANGE * (2.0)
+        ):
+            break
+    return _Point(alpha, b, noise, spread, weight, cost)
+
+
+def _eigenvalues(c: Columns, terms: Terms, feigned: Array) -> Array:
+    """Return (n,) ascending eigenvalues of the balance of the columns as they are, D being 1."""
+    n, m = c.stiffness.shape
+    rows = (np.linalg.inv(terms.root) @ c.a) * c.stiffness.T[:, None, :]
+    flat = rows.reshape(3 * m, n) / np.sqrt(np.diag(feigned))
+    return np.asarray(np.maximum(np.linalg.eigvalsh(flat.T @ flat), 0.0))
+
+
+def _rough_noise(c: Columns, alpha: Array, proportional: float) -> ColumnNoise:
+    """Return a first noise, from what alpha to begin with leaves out of balance: rather too large.
+
+    Too small a noise would have alpha scatter until its own variance explains the imbalance.
+    """
+    rho, law = ((c.a * alpha) @ c.stiffness).T, ColumnNoise(1.0, proportional)
+    s = imbalance_covariances(c.a * alpha, law.of_elements(c.size))
+    s += c.disturbance / (MIN_NOISE**2 * np.mean(c.size**2))
+    distance = np.einsum("mk,mk->m", rho, np.linalg.solve(s, rho[:, :, None])[:, :, 0])
+    return ColumnNoise(float(np.median(distance)) / 2.37, proportional)  # median of chi^2 of 3
+
+
+def _same(noise: ColumnNoise, before: ColumnNoise) -> bool:
+    return (
+        abs(np.log(noise.variance / before.variance)) < SETTLED_NOISE_CHANGE
+        and abs(noise.proportional - before.proportional) < SETTLED_NOISE_CHANGE
+        and abs(1.0 / noise.freedom - 1.0 / before.freedom) < SETTLED_NOISE_CHANGE
+    )
+
+
+def _settle(
+    c: Columns,
+    alpha: Array,
+    b: Array,
+    variance: Array,
+    prior: Array,
+    held: Array | None = None,
+) -> tuple[Array, Array, Terms, Array, Array]:
+    """Return alpha of mean 1, b, the terms there, (n + 9, n + 9) inverse of H and prior, and D."""
+    n, feigned = len(alpha), np.zeros((len(alpha), len(alpha)))
+    for step_index in range(ALPHA_STEPS):
+        terms = terms_at(c, alpha, b, variance, held)
+        if held is None and not step_index:  # alpha hardly moves it
+            feigned = spurious_information(c, alpha, terms.root, variance)
+        pulled, information = pull(prior, alpha)
+        inverse = inverse_information(terms, information, feigned)
+        gradient = terms.gradient.copy()
+        gradient[:n] += pulled
+        step = inverse @ gradient
+        size = float(np.sqrt(np.mean(step[:n] ** 2) / np.mean(np.diag(inverse)[:n])))
+        step *= min(1.0, 0.3 / float(np.abs(step[:n]).max(initial=1e-300)))
+        alpha, b = alpha - step[:n], b - step[n:].reshape(3, 3)
+        alpha, b = alpha / alpha.mean(), b / alpha.mean()
+        if not np.isfinite(alpha).all() or np.abs(alpha).max() > 1e3:
+            break
+        if size < SETTLED_ALPHA_STEP:
+            return alpha, b, terms, inverse, feigned
+    raise NotConverged(
+        "alpha of the stiffness matrix does not settle",
+        remedy="check unit, X, Y, NZ and the order of rows and columns in STIFFNESS",
+    )
+
+
+def _noise(c: Columns, alpha: Array, terms: Terms, left: Array) -> tuple[ColumnNoise, Array]:
+    """Return the likeliest noise, and (m,) weights, after putting back what the fit took away.
+
+    What is left of most of a column is nearly all or nearly nothing: that combination of its three
+    equations into which alpha of its own actuator goes.
+    """
+    disturbed = np.linalg.solve(terms.root, c.disturbance)
+    disturbed = np.linalg.solve(terms.root, disturbed.transpose(0, 2, 1))
+    shares, directions = np.linalg.eigh(disturbed)
+    some = directions * (shares <= max(MAX_DISTURBANCE_SHARE, float(np.median(shares))))[:, None]
+    clear = some @ some.transpose(0, 2, 1)
+    values, vectors = (each[..., ::-1] for each in np.linalg.eigh(clear @ left @ clear))
+    told = values >= 0.5 * MIN_VARIANCE_SHARE
+    turn = (vectors * told[:, None]).transpose(0, 2, 1)
+    residual = np.einsum("mkl,ml->mk", turn, terms.residual) / np.sqrt(
+        np.maximum(values, MIN_VARIANCE_SHARE)
+    )
+    turn = turn @ np.linalg.inv(terms.root)
+    scaled, square = c.a * alpha, c.size**2
+    equal, proportional = (
+        turn @ imbalance_covariances(scaled, law) @ turn.transpose(0, 2, 1)
+        + np.eye(3) * ~told[:, None]
+        for law in (np.ones_like(square), square / square.mean())
+    )
+    return likeliest_noise(residual, values * told, (equal, proportional))

@@ -1,0 +1,326 @@
+"""Actuators of a stiffness matrix that do not fit the others: found robustly, and set free.
+
+A true stiffness is symmetric, so a commanded one is but for a factor of each actuator, which pairs
+of neighbours give whatever a few of them say. What then differs in sign or size, is unlike its
+column, stands where its neighbour should, or leaves a column out of balance, does not fit. States
+in which such actuators push nothing say nothing of them, whatever their sensors read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+from truenewton.estimation.matrix import bad_sensors
+from truenewton.estimation.matrix.couplings import (
+    ELSEWHERE,
+    NEAR_SPACINGS,
+    displaced,
+    pair_ratios,
+    relative_couplings,
+    typical_spacing,
+)
+from truenewton.estimation.matrix.order import row_order
+
+MAX_ALPHA_RATIO = 3.0  # of alpha from that of the others
+ASYMMETRY_RATIO = 8.0  # what is typical of an actuator, and
+MIN_ROW_ASYMMETRY = 0.05  # of its couplings: how far from symmetry one does not fit
+COLUMN_IMBALANCE_RATIO = 12.0  # what is typical of a column, and
+MIN_COLUMN_IMBALANCE = 0.05  # of the own stiffness: how far out of balance one does not fit
+ELEMENT_RATIO = 30.0  # what is typical of elements of its size and of both actuators, and
+MIN_ELEMENT_DIFFERENCE = 0.01  # of the own stiffness: an element that differs from its transpose
+MIN_EXCHANGE_GAIN = 1.2  # times better with both exchanged; good neighbours are at 0.6 at most
+MAX_MISFIT_FRACTION = 0.1  # of all actuators may not fit; beyond it nothing does
+
+OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
+SENSOR_SIGN = "its sensor has the other sign"
+SENSOR_GAIN, SENSOR = "its sensor has another gain", "its sensor reads something else"
+ROW_UNLIKE_COLUMN = "its row unlike its column"
+ELEMENT_WRONG = "an element of its row is wrong"
+NO_SENSOR, NO_FORCE = "its sensor reads nothing", "its row is zero, though it pushed"
+ALPHA_DOUBTS = {
+    SENSOR: 0.1,
+    NO_SENSOR: 0.3,
+    NO_FORCE: 0.3,
+    ROW_UNLIKE_COLUMN: 0.3,
+    ELEMENT_WRONG: 0.03,
+}
+
+
+@dataclass(frozen=True)
+class BadActuator:
+    """An actuator that does not fit: its index, why, and how far, as a ratio."""
+
+    index: int
+    reason: str
+    size: float
+
+    @property
+    def doubt(self) -> float:
+        """Force where its command is zero, in terms of its couplings; as far as it was mended."""
+        return ALPHA_DOUBTS.get(self.reason, 0.0)
+
+
+class FitsNoSymmetry(RankDeficient):
+    """So many actuators do not fit the others that there is no telling which."""
+
+
+def bad_actuators(
+    k: Array, a: Array, gaps: Array, filled: Sequence[int] = ()
+) -> tuple[tuple[BadActuator, ...], Array]:
+    """Return the actuators that do not fit the others, and the stiffness mended where it can be.
+
+    Parameters
+    ----------
+    k
+        (n, n) stiffness [N/m], no row or column zero throughout.
+    a, gaps
+        (3, n) arms in comparable units; and (3, m) of actuators that are not in the matrix, about
+        which columns need not balance.
+    filled
+        Whose rows or columns were not there, and are by symmetry.
+
+    Raises
+    ------
+    RankDeficient
+        Rows or columns are in another order, or of another sign.
+    FitsNoSymmetry
+        More than a few do not fit for other reasons.
+    """
+    found: dict[int, BadActuator] = {}
+    n = len(k)
+
+    def add(indices: NDArray[np.int64], reason: str, sizes: Array) -> None:
+        for index, size in zip(indices.tolist(), sizes.tolist(), strict=True):
+            found.setdefault(index, BadActuator(index, reason, size))
+        if len(found) > max(2, MAX_MISFIT_FRACTION * n):
+            certain = reason in (OTHER_ORDER, OTHER_SIGN)
+            raise (RankDeficient if certain else FitsNoSymmetry)(
+                f"{len(found)} of {n} actuators do not fit the others: the matrix is far from"
+                " symmetric, or its columns from balance",
+                remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
+                got=len(found),
+            )
+
+    order = row_order(k)
+    moved = np.flatnonzero(order != np.arange(n))
+    add(moved, OTHER_ORDER, np.ones(len(moved)))
+    own = np.diag(k[order])
+    sign = 1.0 if np.count_nonzero(own > 0.0) >= np.count_nonzero(own < 0.0) else -1.0
+    wrong = np.flatnonzero(sign * own <= 0.0)
+    add(wrong, OTHER_SIGN, own[wrong] / np.median(own))
+    factor = np.where(own < 0.0, -1.0, 1.0)
+    log_alpha, misfit = pair_ratios(factor[:, None] * k[order])
+    linked = ~np.isnan(misfit)
+    even = (factor * np.exp(log_alpha))[:, None] * k[order]
+    off = displaced(even, a)
+    moved = np.flatnonzero(off.any(axis=0))
+    add(moved, ELSEWHERE, np.hypot(*off[1:, moved]))
+    a = a + off
+    turned = bad_sensors.signs(even, a, wrong[own[wrong] != 0.0], linked)
+    found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
+    factor, k, even = factor * turned, k * turned, even * np.outer(turned, turned)
+    gain = bad_sensors.wrong_gains(even, a, linked, [i for i, _ in _unlike_their_columns(misfit)])
+    deaf = np.flatnonzero(gain != 1.0)
+    misfit[deaf], misfit[:, deaf] = np.nan, np.nan
+    log_alpha = log_alpha - np.log(gain)
+    far = np.flatnonzero(np.abs(log_alpha) > np.log(MAX_ALPHA_RATIO))
+    for one in far:
+        ratio = np.exp(-log_alpha[[one]])
+        add(far[far == one], f"its row {ratio[0]:.2g} times as large as those of others", ratio)
+    factor = factor * np.exp(log_alpha)
+    even = factor[:, None] * k[order] / gain
+    only_gain = np.array([bad_sensors.agrees(even, i, linked[i]) for i in deaf.tolist()], bool)
+    for some, reason in ((deaf[only_gain], SENSOR_GAIN), (deaf[~only_gain], SENSOR)):
+        add(some, reason, gain[some])
+    even = bad_sensors.columns_by_rows(even, a, deaf[~only_gain])
+    unlike = _unlike_their_columns(misfit)
+    add(*_apart(unlike, ROW_UNLIKE_COLUMN))
+    _make_alike(even, a, [i for i, _ in unlike], linked)
+    place = exchanged_places(even, a)
+    moved = np.flatnonzero(place != np.arange(n))
+    add(moved, "exchanged with a neighbour", np.ones(len(moved)))
+    mended = [*filled, *deaf[~only_gain].tolist(), *(i for i, _ in unlike)]
+    holes = np.concatenate([gaps, a[:, [i for i, _ in unlike]]], axis=1)
+    add(*_apart(_mend_elements(even, a[:, place], holes, mended), ELEMENT_WRONG))
+    return tuple(found[i] for i in sorted(found)), even / factor[:, None]
+
+
+def _make_alike(even: Array, a: Array, some: Sequence[int], linked: NDArray[np.bool_]) -> None:
+    """Put the column of some in place of the row, or the reverse, whichever balances, in place."""
+    for i in some:
+        if bad_sensors.better_by_row(even, a, i, linked[i]):
+            even[:, i] = bad_sensors.column_by_row(even, a, i)
+        else:
+            even[i] = even[:, i]
+
+
+def _apart(pairs: list[tuple[int, float]], reason: str) -> tuple[NDArray[np.int64], str, Array]:
+    indices, sizes = (np.array([pair[which] for pair in pairs]) for which in (0, 1))
+    return indices.astype(np.int64), reason, sizes.astype(float)
+
+
+def _unlike_their_columns(misfit: Array) -> list[tuple[int, float]]:
+    """Return actuators most of whose couplings differ from their transposes, the worst first."""
+    misfit = np.minimum(misfit, 10.0)
+    out: list[tuple[int, float]] = []
+    while True:
+        linked = np.isfinite(misfit).sum(axis=1)
+        typical = np.zeros(len(misfit))
+        typical[linked > 0] = np.nanmedian(misfit[linked > 0], axis=1)
+        worst, usual = int(np.argmax(typical)), float(np.median(typical))
+        if typical[worst] <= max(ASYMMETRY_RATIO * usual, MIN_ROW_ASYMMETRY):
+            return out
+        out.append((worst, float(typical[worst])))
+        misfit[worst], misfit[:, worst] = np.nan, np.nan
+
+
+def exchanged_places(k: Array, a: Array) -> NDArray[np.int64]:
+    """Return (n,) whose place of (3, n) arms each actuator of an (n, n) stiffness stands at.
+
+    What a coupling is at some distance, all pairs say; neighbours are exchanged while their
+    couplings fit better so, the best first.
+    """
+    x, y = a[1], a[2]
+    distance = np.hypot(x[:, None] - x, y[:, None] - y)
+    spacing = typical_spacing(a)
+    c = relative_couplings(0.5 * (k + k.T))
+    bins = np.minimum((distance / spacing * 8.0).astype(int), int(8.0 * NEAR_SPACINGS) + 1)
+    profile = np.array([np.median(c[bins == b]) if (bins == b).any() else 0.0
+                        for b in range(bins.max() + 1)])  # fmt: skip
+    expected, near = profile[bins], distance < NEAR_SPACINGS * spacing
+    pairs = list(zip(*np.nonzero(np.triu(distance < 1.8 * spacing, 1)), strict=True))
+    place = np.arange(len(k))
+    for _ in range(len(k) // 4):
+        here = c[np.ix_(actuator_at := np.argsort(place), actuator_at)]
+        best = (0.0, 0, 0)
+        for i, j in pairs:
+            some = near[i] | near[j]
+            some[[i, j]] = False
+            (ci, cj), (ei, ej) = here[[i, j]][:, some], expected[[i, j]][:, some]
+            exchanged = float(np.sum((cj - ei) ** 2) + np.sum((ci - ej) ** 2))
+            now = float(np.sum((ci - ei) ** 2) + np.sum((cj - ej) ** 2))
+            if now > MIN_EXCHANGE_GAIN * exchanged and now - exchanged > best[0]:
+                best = (now - exchanged, int(i), int(j))
+        if best[1] == best[2]:
+            break
+        first, second = actuator_at[[best[1], best[2]]]
+        place[[first, second]] = place[[second, first]]
+    return place
+
+
+def _mend_elements(
+    k: Array, a: Array, holes: Array, mended: Sequence[int]
+) -> list[tuple[int, float]]:
+    """Return actuators whose row has an element that cannot be, and mend it in place.
+
+    A force too much in a column shows where it is: its moments over its size are its place. And an
+    element that differs from its transpose is wrong in the column that is further from balance.
+    About (3, h) holes columns need not balance, nor need those that were mended.
+    """
+    out: list[tuple[int, float]] = []
+    own = np.abs(np.diag(k))
+    rho = (a @ k) / own
+    size, spacing = np.linalg.norm(rho, axis=0), typical_spacing(a)
+    explained = np.zeros(len(k), dtype=bool)
+    for hole in holes.T:
+        explained |= np.hypot(a[1] - hole[1], a[2] - hole[2]) < 0.5 * NEAR_SPACINGS * spacing
+    c = relative_couplings(k)
+    difference, level = np.abs(c - c.T), np.abs(c + c.T)
+    upper = np.triu_indices(len(k), 1)
+    times = np.zeros_like(c)
+    times[upper] = difference[upper] / _by_level(difference[upper], level[upper])
+    times += times.T
+    usual = np.maximum(np.median(times, axis=1), 1.0)
+    wrong = (times > ELEMENT_RATIO * np.maximum(usual[:, None], usual)) & (
+        difference > MIN_ELEMENT_DIFFERENCE
+    )
+    pairs = np.argwhere(np.triu(wrong, 1))
+    for i, j in pairs[np.argsort(-times[tuple(pairs.T)], kind="stable")]:
+        if explained[i] and explained[j]:
+            continue
+        much = k[i, j] - k[j, i]
+        in_j, in_i = rho[:, j] - much / own[j] * a[:, i], rho[:, i] + much / own[i] * a[:, j]
+        better_j = np.linalg.norm(in_j) * size[i] < np.linalg.norm(in_i) * size[j]
+        row, column = (i, j) if better_j else (j, i)
+        rho[:, column] = in_j if better_j else in_i
+        size[column] = np.linalg.norm(rho[:, column])
+        k[row, column] = k[column, row]
+        out.append((int(row), float(times[i, j])))
+    limit = np.maximum(COLUMN_IMBALANCE_RATIO * np.median(size) * usual, MIN_COLUMN_IMBALANCE)
+    size[list(mended)] = 0.0
+    for j in np.flatnonzero((size > limit) & ~explained):
+        force = rho[:, j] @ a / np.sum(a**2, axis=0)
+        left = np.linalg.norm(rho[:, [j]] - force * a, axis=0)
+        row = int(np.argmin(left))
+        if explained[row]:
+            continue
+        k[row, j] -= force[row] * own[j]
+        out.append((row, float(size[j])))
+    return out
+
+
+def _by_level(values: Array, level: Array) -> Array:
+    """Return the median of values among those of about the same level."""
+    order = np.argsort(level, kind="stable")
+    out = np.empty_like(values)
+    for some in np.array_split(order, max(1, min(60, len(order) // 200))):
+        out[some] = np.median(values[some])
+    return np.maximum(out, 1e-300)
+
+
+def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Return the stiffness in states where some actuators push nothing, and what that does to E.
+
+    K_gg - K_gb K_bb^-1 K_bg = L K P; to first order errors E of K become L E P.
+
+    Parameters
+    ----------
+    k
+        (n, n); rows or columns that are zero say nothing, and are left out.
+    good
+        (n,) which stay.
+
+    Returns
+    -------
+    K, L, P
+        (g, g), (g, n) and (n, g).
+    """
+    left, right = np.eye(len(k))[good], np.eye(len(k))[:, good]
+    free = np.asarray(~good & k.any(axis=1) & k.any(axis=0), dtype=np.bool_)
+    if free.any():
+        inverse = np.linalg.pinv(k[np.ix_(free, free)], rcond=1e-6)
+        left[:, free] = -k[np.ix_(good, free)] @ inverse
+        right[free] = -inverse @ k[np.ix_(free, good)]
+    # L K P, of which L K is enough: K P has no rows of those that are free.
+    core = k[np.ix_(good, good)] + left[:, free] @ k[np.ix_(free, good)]
+    return np.asarray(core), left, right
+
+
+def residual_force(
+    k: Array, a: Array, good: NDArray[np.bool_], doubt: NDArray[np.float64]
+) -> Array:
+    """Return (n_good, 3, 3) covariance of forces that actuators left out may still exert.
+
+    Whatever is wrong with a row, its actuator need not be at rest where it is told to be.
+
+    Parameters
+    ----------
+    k, a
+        (n, n) stiffness [N/m], (3, n) arms.
+    good
+        (n,) which are not left out.
+    doubt
+        (n,) force in terms of the couplings; where rows are zero of the own stiffness.
+    """
+    c = np.abs(relative_couplings(k))
+    c = np.maximum(c, c.T)
+    c[~c.any(axis=1)] = 1.0
+    some, own = np.flatnonzero(doubt > 0.0), np.abs(np.diag(k)[good])
+    force = (doubt[:, None] * c)[np.ix_(some, np.flatnonzero(good))] * np.sqrt(own * np.median(own))
+    return np.asarray(np.einsum("kb,lb,bm->mkl", a[:, some], a[:, some], force**2))

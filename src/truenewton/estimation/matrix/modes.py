@@ -1,0 +1,326 @@
+"""Relative alpha from a stiffness matrix alone: elastic forces balance by themselves (k = 0).
+
+The left singular vectors of the measured stiffness are force patterns on which weight, bias and
+torques cancel. With equal weight each, alpha is the pattern that best balances them all: the
+smallest singular vector of the stacked A diag(u), its mean set to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.linalg
+
+from truenewton import linalg
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import Diagnosis, Estimate, Scale
+from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.matrix.columns import Columns
+from truenewton.estimation.matrix.order import looks_transposed
+from truenewton.estimation.matrix.screen import ScreenedMatrix
+from truenewton.estimation.paper.equations import balance_rows
+from truenewton.estimation.paper.identifiability import geometry_fault, refuse
+from truenewton.linalg import singular_values_and_vectors
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import counted
+from truenewton.statics.arms import comparable_arms, enabled_arms
+
+# Of the stiffest: softer modes mix with the rigid motions through the bias magnets' gradient.
+MIN_SINGULAR_VALUE = 1e-4
+# Own stiffness of a mirror's actuators, typically and at the least and most, in N/m.
+TYPICAL_STIFFNESS, MIN_PLAUSIBLE_STIFFNESS, MAX_PLAUSIBLE_STIFFNESS = 2e6, 2e4, 2e9
+UNITS = {-1: "N/mm", -2: "N/um", -3: "N/nm"}  # by powers of a thousand
+# Asymmetry that no gains explain: a third of scatter in alpha makes a quarter, another order one.
+MAX_DISORDER = 0.5
+EVEN_MODES, ODD_MODES = slice(0, None, 2), slice(1, None, 2)  # modes, the first stiffest
+
+
+@dataclass(frozen=True)
+class Imbalance:
+    """Rms imbalance of elastic modes, each of unit length, over modes and the three equations."""
+
+    modes: str
+    before: float
+    after: float
+    alpha: Array | None = field(default=None, compare=False, repr=False)  # (n,) as fitted
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticFit:
+    """Relative alpha of elastic modes.
+
+    Attributes
+    ----------
+    method
+        As it stands in the calibration file.
+    alpha, covariance
+        (n,) with mean 1, and its (n, n) covariance.
+    singular_values
+        (n,) of the balance of the modes, ascending; the first belongs to alpha.
+    variance
+        Of the noise of one element of a mode, from the minimum; NaN where no method needs it.
+    warnings
+        What is weak.
+    """
+
+    method: str
+    alpha: Array
+    covariance: Array
+    singular_values: Array
+    variance: float = float("nan")
+    warnings: tuple[Finding, ...] = ()
+
+
+ElasticMethod = Callable[[Columns], ElasticFit]
+
+
+def elastic_modes(matrix: StiffnessMatrix) -> Array:
+    """Return (m, n_enabled) force patterns of unit length, softest left out, stiffest first."""
+    return elastic_modes_of(matrix.used_stiffness)
+
+
+def elastic_modes_of(k: Array) -> Array:
+    """Return the same of an (n, n) stiffness."""
+    left, values, _ = singular_values_and_vectors(k)
+    return np.asarray(left[:, : elastic_count(values)].T)
+
+
+def elastic_count(values: Array) -> int:
+    """Return how many of (n,) descending singular values are those of elastic modes.
+
+    Noise may lift rigid motions above the limit: three are never elastic.
+    """
+    return min(int(np.count_nonzero(values > MIN_SINGULAR_VALUE * values[0])), len(values) - 3)
+
+
+def columns_of(screened: ScreenedMatrix) -> Columns:
+    """Return the columns of a screened matrix."""
+    k, a = screened.matrix.used_stiffness, comparable_arms(screened.matrix.layout)
+    return Columns(k, a, a, screened.disturbance, screened.start, k)
+
+
+def modal_stiffness(matrix: StiffnessMatrix) -> Array:
+    """Return (n_enabled,) singular values, stiffest first [N/m]."""
+    return singular_values_and_vectors(matrix.used_stiffness)[1]
+
+
+def asymmetry(matrix: StiffnessMatrix) -> float:
+    """Return |K - K'| / |K + K'|; 0 for calibrated actuators and sensors (Maxwell and Betti)."""
+    return linalg.asymmetry(matrix.used_stiffness)
+
+
+def refuse_few_modes(count: int, n: int) -> None:
+    """Raise RankDeficient where so many elastic modes cannot hold alpha of n actuators."""
+    if count * 3 < n + 1:
+        raise RankDeficient(
+            f"only {counted(count, 'mode')} of STIFFNESS stiffer than"
+            f" {MIN_SINGULAR_VALUE:g} of the stiffest, for {counted(n, 'actuator')}",
+            remedy="measure a stiffness matrix of full rank",
+            got=count,
+            want=n - 3,
+        )
+
+
+def balance_modes(modes: Array, a: Array) -> tuple[Array, Array]:
+    """Return (n,) alpha of mean 1 that balances (m, n) modes best, and (n,) singular values.
+
+    Alpha is the smallest singular vector; the values, of the stacked system, ascend.
+
+    Raises
+    ------
+    RankDeficient
+        The modes are too few, or a second pattern balances them as well.
+    """
+    n = a.shape[1]
+    refuse_few_modes(len(modes), n)
+    triangle = scipy.linalg.qr(balance_rows(modes, a), mode="r")[0][:n]
+    _, values, right = singular_values_and_vectors(triangle)
+    values, right = values[::-1], right[::-1]
+    # Nearer than this the second pattern is decided by the same noise as the first.
+    if values[1] < 1.5 * max(values[0], 1e-10 * values[-1]):
+        raise RankDeficient(
+            "alpha is not unique: two patterns balance the modes almost equally well (imbalance"
+            f" {values[0]:.2g} and {values[1]:.2g})",
+            remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
+            got=float(values[1]),
+        )
+    mean = right[0].mean()
+    alpha = right[0] / mean
+    if abs(mean) * np.sqrt(n) < 0.1 or (alpha <= 0).any():
+        raise RankDeficient(
+            "the alpha that balances the modes is not positive for every actuator",
+            remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
+        )
+    return alpha, values
+
+
+def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array) -> Array:
+    """Return the (n, n) covariance of alpha with mean 1, from the imbalance that each mode leaves.
+
+    The noise of a mode need not be that of another: soft ones carry more. So each mode is left out
+    in turn, to first order, and the scatter of what the others then say is the error, which errs
+    on the safe side (the jackknife HC3; MacKinnon and White, J. Econometrics 29, 1985). With e the
+    three equations of a mode, whitened by S, and G = sum e'e, its omission moves alpha by
+    G^-1 e' (1 - e G^-1 e')^-1 e alpha.
+
+    Parameters
+    ----------
+    modes, a, alpha
+        (m, n) modes, (3, n) arms, (n,) alpha.
+    s
+        (3, 3) covariance of the three equations, but for a factor.
+    prior
+        (n, n) information beside the modes, in units of the same factor.
+    """
+    n = len(alpha)
+    root = np.linalg.inv(np.linalg.cholesky(s))
+    e = balance_rows(modes, root @ a).reshape(3, -1, n)
+    information = e.reshape(-1, n).T @ e.reshape(-1, n) + prior
+    # The modes leave the scale free; the mean of alpha is held, so what is common is no error.
+    inverse = np.linalg.inv(information + np.trace(information) / n**2)
+    held = np.eye(n) - np.outer(alpha, np.full(n, 1.0 / n))
+    inverse = held @ inverse @ held.T
+    solved = e @ inverse
+    leverage = np.einsum("kmi,lmi->mkl", solved, e)
+    residual = np.einsum("kmi,i->mk", e, alpha)
+    weighed = np.linalg.solve(np.eye(3) - leverage, residual[:, :, None])[:, :, 0]
+    moved = np.einsum("kmi,mk->mi", solved, weighed)
+    return np.asarray(moved.T @ moved)
+
+
+def singular_fit(columns: Columns) -> ElasticFit:
+    """Balance the elastic modes of columns by the smallest singular vector of them all.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    modes, a, n = elastic_modes_of(columns.stiffness), columns.a, columns.a.shape[1]
+    alpha, singular_values = balance_modes(modes, a)
+    covariance = mode_covariance(modes, a, alpha, np.eye(3), np.zeros((n, n)))
+    return ElasticFit("svd", alpha, covariance, singular_values)
+
+
+def find(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
+    """Find relative alpha from the balance of the modes or columns.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    matrix = screened.matrix
+    refuse([geometry_fault(enabled_arms(matrix.layout))])
+    try:
+        fitted = fit(columns_of(screened))
+    except (RankDeficient, NotConverged) as error:
+        for effect in screened.effects:  # the reason, where alpha cannot even be found
+            if not effect.corrected:
+                raise error.changed(fault=effect.name, remedy=effect.remedy) from None
+        raise
+    n, singular_values = len(fitted.alpha), fitted.singular_values
+    turned = (
+        ()
+        if any(effect.code == Code.TRANSPOSED_STIFFNESS for effect in screened.effects)
+        else _orientation_warnings(matrix)
+    )
+    of_file = (*_unit_warnings(matrix), *turned)
+    warnings = (*screened.warnings, *of_file, *fitted.warnings)
+    return Estimate(
+        method=fitted.method,
+        scale=Scale.MEAN_ONE,
+        values=fitted.alpha,
+        reading_covariance=fitted.covariance,
+        systematic_covariance=np.zeros((n, n)),
+        noise=float("nan"),
+        condition=float(singular_values[-1] / singular_values[1]),
+        rank=n - 1,
+        diagnosis=Diagnosis(eigenvalues=tuple((singular_values**2).tolist()), warnings=warnings),
+        effects=(*_not_as_agreed(matrix), *screened.effects),
+    )
+
+
+def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[Finding]:
+    """Name an asymmetry that no gains explain, rows and columns in two orders; the other sign."""
+    if np.trace(matrix.used_stiffness) < 0.0:
+        yield Finding(
+            code=Code.NEGATIVE_STIFFNESS,
+            remedy="reverse the sign of STIFFNESS; relative alpha is the same, modes are not",
+        )
+    size = asymmetry(matrix)
+    if size > MAX_DISORDER:
+        yield Finding(
+            code=Code.ASYMMETRIC_STIFFNESS,
+            size=size,
+            unit="|K + K'|",
+            remedy="put rows and columns of STIFFNESS in the order of the ACTUATORS table",
+        )
+
+
+def _unit_warnings(matrix: StiffnessMatrix) -> Iterator[Finding]:
+    """Warn of a matrix in another unit than N/m, which alpha does not ask."""
+    own = float(np.median(np.abs(np.diag(matrix.used_stiffness))))
+    if not MIN_PLAUSIBLE_STIFFNESS < own < MAX_PLAUSIBLE_STIFFNESS:
+        power = round(np.log10(max(own, 1e-300) / TYPICAL_STIFFNESS) / 3.0)
+        unit = UNITS.get(power, "counts, or no N/m at least")
+        yield Finding.of(Code.STIFFNESS_UNIT, unit=unit, own=own, usual=TYPICAL_STIFFNESS)
+
+
+def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Finding]:
+    """Warn of a transposed matrix: a rigid displacement must cost little force."""
+    if looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout)):
+        yield Finding.of(Code.LOOKS_TRANSPOSED)
+
+
+def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
+    """Return the rms of A diag(alpha) u over (m, n) modes of unit length and three equations."""
+    return float(np.sqrt(np.mean((modes * alpha @ a.T) ** 2)))
+
+
+def imbalances(screened: ScreenedMatrix, fit: ElasticMethod, alpha: Array) -> tuple[Imbalance, ...]:
+    """Return the imbalance with alpha = 1 and with alpha fitted: on all modes, and held out.
+
+    Of all modes (n,) alpha is what the fit has found. Held out: fitted on every second mode and
+    judged on the others, both ways round.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+        Half of the modes do not hold alpha.
+    """
+    columns = columns_of(screened)
+    left, values, right = singular_values_and_vectors(columns.stiffness)
+    elastic = slice(elastic_count(values))
+    left, values, right = left[:, elastic], values[elastic], right[elastic]
+    parts = ((left[:, half] * values[half]) @ right[half] for half in (EVEN_MODES, ODD_MODES))
+    halves = (fit(replace(columns, stiffness=part)).alpha for part in parts)
+    return imbalances_of(left, columns.a, alpha, *halves)
+
+
+def imbalances_of(
+    forces: Array, a: Array, alpha: Array, of_even: Array, of_odd: Array
+) -> tuple[Imbalance, ...]:
+    """Return the imbalance of all modes and of every second one, with alpha of the others.
+
+    Parameters
+    ----------
+    forces, a
+        (n, m) elastic modes of unit length, stiffest first; (3, n) arms.
+    alpha, of_even, of_odd
+        (n,) fitted on all modes, on the even and on the odd; their mean counts as 1.
+    """
+    ones = np.ones(len(alpha))
+
+    def of(name: str, some: slice, fitted: Array) -> Imbalance:
+        modes = forces[:, some].T
+        before, after = (rms_imbalance(modes, x / x.mean(), a) for x in (ones, fitted))
+        return Imbalance(name, before, after, fitted)
+
+    return (
+        of("all modes, fitted", slice(None), alpha),
+        of("odd modes, fitted on the even", ODD_MODES, of_even),
+        of("even modes, fitted on the odd", EVEN_MODES, of_odd),
+    )

@@ -1,0 +1,345 @@
+"""Whether a stiffness matrix is one, lies the right way round, and in the order of its places.
+
+A free shell costs no force where it is moved rigidly: K {1, x, y} vanishes but for the gains of the
+sensors, and {1, x, y}' K but for alpha, which scatters more; transposed, they change places. With
+coordinates of other actuators the shell is bent. Which way round it lies is judged by medians over
+actuators: a few bad ones say nothing of the rest.
+
+Forces that balance as commanded, to the rounding of the file, are no measured ones: rigid motions
+were projected out of them, which puts the alpha of each column into all rows, or alpha was 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.matrix.couplings import (
+    NEAR_SPACINGS,
+    relative_couplings,
+    typical_spacing,
+)
+from truenewton.estimation.readings.rounding_steps import rounding_steps
+from truenewton.linalg import assignment, asymmetry
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
+
+MIN_JUDGED_ACTUATORS = 20  # actuators among which one can be told not to fit
+# Gains or alpha that scatter by 10 % cost 0.08, neighbours exchanged on 45 actuators 0.09; random
+# places 0.9, those sorted by radius 0.4.
+MAX_RIGID_COST = 0.12
+SUSPECT_RIGID_COST = 0.005  # cost from which other orders are tried
+MIN_COST_RATIO = 3.0  # times less it costs in the right one
+RADIUS_TOLERANCE = 1e-3  # of the largest: actuators of one ring
+MIN_EXPLAINED_COUPLING = 0.65  # of the couplings, explained by distance
+TRANSPOSED_COST_RATIO = (
+    2.0  # times as much that rigid displacements cost as forces are out of balance
+)
+MAX_SENSOR_COST = (
+    0.05  # of the own stiffness: more than gains of sensors cost, which scatter by per cent
+)
+MAX_SYMMETRISED_ASYMMETRY = (
+    1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
+)
+MIN_MEASURED_IMBALANCE = (
+    0.02  # of the own stiffness: columns out of balance, beyond what sensors and alpha leave both
+)
+MAX_REBALANCED_IMBALANCE = (
+    1e-6  # of the own stiffness: no measured columns balance so, nor are coils so alike
+)
+MIN_UNLIKENESS = 1e-3  # of the asymmetry: nor so much better than rows are like columns
+MIN_ROUNDING_SHARE = (
+    0.2  # of the asymmetry: rounding that leaves less than that out of balance may hide alpha
+)
+ROUNDING_RATIO = 2.0  # times as far out of balance as rounding leaves typically
+DIGIT_COUNTS = range(3, 7)  # significant digits of a file; more leave what single precision leaves
+WRITTEN_TOLERANCE = 0.02  # of a step, within which an element is written with so many digits
+SAME_NUMBER_TOLERANCE = 1e-9  # of an own element, to be the same number as others
+MAX_SOFTEST_COST = 1.5  # cost of rigid motions in terms of any, where a stiffness has next to none
+
+
+def refuse_no_stiffness(k: Array) -> None:
+    """Refuse an (n, n) array that is no stiffness as it was measured, whatever its unit.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    own = np.diag(k)
+    below, above = np.tril(k, -1).any(), np.triu(k, 1).any()
+    if len(k) > 1 and k.any() and not (below and above):
+        fault = "diagonal: no actuator feels another"
+        if below or above:
+            fault = f"zero {'above' if below else 'below'} its diagonal: half of it is not there"
+        raise RankDeficient(
+            f"STIFFNESS is {fault}",
+            remedy="store the forces of all actuators for a displacement of each",
+        )
+    if len(k) < MIN_JUDGED_ACTUATORS:
+        return
+    typical = float(np.median(own))
+    same = np.count_nonzero(np.abs(own - typical) < SAME_NUMBER_TOLERANCE * abs(typical))
+    if 2 * same > len(k):
+        raise RankDeficient(
+            f"{same} of {len(k)} own elements of STIFFNESS are the same number, {typical:.3g}: rows"
+            " were divided by them, or cut off at a limit",
+            remedy="give the matrix as it was measured",
+            got=same,
+        )
+
+
+def refuse_compliance(matrix: StiffnessMatrix) -> None:
+    """Refuse a matrix in which rigid motions count most: the softest are the largest.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    k, on = matrix.used_stiffness, matrix.layout.enabled
+    cost = rigid_cost((k.T @ k, k @ k.T), matrix.layout.x[on], matrix.layout.y[on])
+    if cost > MAX_SOFTEST_COST:
+        raise RankDeficient(
+            "STIFFNESS looks like a compliance, displacement per force: rigid motions are its"
+            " largest part",
+            remedy="give force per displacement, its inverse but for rigid motions",
+            got=cost,
+        )
+
+
+def row_order(k: Array) -> NDArray[np.int64]:
+    """Return (n,) the row that belongs to each column of an (n, n) stiffness.
+
+    Of a positive matrix the product of all diagonal elements is the largest of any order of rows,
+    as |k_ij|^2 < k_ii k_jj; factors of rows and columns change all these products alike. Wrong
+    elements may exceed that bound: rows stay where they are unless they are more like the columns
+    where they would go.
+    """
+    size = np.abs(k)
+    least = 1e-12 * float(size.max())
+    # The order that is there must be worse to be left: not by rounding alone.
+    cost = -np.log(np.maximum(size, least)) - 1e-6 * np.eye(len(k))
+    order = assignment(cost.T)
+    left = {int(i) for i in np.flatnonzero(order != np.arange(len(k)))}
+    while left:
+        cycle = [left.pop()]
+        while (after := int(order[cycle[-1]])) != cycle[0]:
+            left.remove(after)
+            cycle.append(after)
+        at = np.array(cycle)
+        if _likeness(k, order, at, at) >= _likeness(k, order, at, order[at]):
+            order[at] = at
+    return order
+
+
+def _likeness(
+    k: Array, order: NDArray[np.int64], at: NDArray[np.int64], rows: NDArray[np.int64]
+) -> float:
+    """Return how like columns are the rows taken for them, by the elements with all others."""
+    others = np.delete(np.arange(len(k)), at)
+    r, c = k[np.ix_(rows, others)], k[np.ix_(order[others], at)].T
+    sizes = np.linalg.norm(r, axis=1) * np.linalg.norm(c, axis=1)
+    return float(np.sum(np.abs(np.sum(r * c, axis=1)) / np.maximum(sizes, 1e-300)))
+
+
+def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[Finding]:
+    """Say that the coordinates are not those of the matrix's actuators, or forces are missing.
+
+    Parameters
+    ----------
+    matrix
+        Measured.
+    named
+        Only where another order is told, which a few bad actuators cannot feign.
+    """
+    layout, on = matrix.layout, matrix.layout.enabled
+    x, y, k = layout.x, layout.y, matrix.used_stiffness
+
+    squares = k.T @ k, k @ k.T
+
+    def cost(order: NDArray[np.int64]) -> float:
+        return rigid_cost(squares, x[order][on], y[order][on])
+
+    size = cost(np.arange(layout.n))
+    if size < SUSPECT_RIGID_COST:
+        return
+    orders = ((cost(order), name) for name, order in other_orders(x, y))
+    least, name = min(orders, default=(np.inf, ""))
+    told = least * MIN_COST_RATIO < size
+    unit = "of the force that any displacement costs, to move it rigidly"
+    if told or (not named and size > MAX_RIGID_COST):
+        if told or not share_by_distance(k, comparable_arms(layout)) > MIN_EXPLAINED_COUPLING:
+            yield Finding(
+                code=Code.DISORDERED_STIFFNESS,
+                detail=name if told else "",
+                size=size,
+                unit=unit,
+                remedy="put the rows of ACTUATORS in the order of rows and columns of STIFFNESS",
+            )
+        else:
+            yield Finding(
+                code=Code.INCOMPLETE_STIFFNESS,
+                size=size,
+                unit=unit,
+                remedy="look for elements that are zero, cut off at a limit or in another unit, and"
+                " check X and Y",
+            )
+
+
+def balance_effects(matrix: StiffnessMatrix) -> Iterator[Finding]:
+    """Say that forces balance as commanded, so that nothing tells alpha."""
+    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    imbalance = rigid_cost_and_imbalance(k, a)[1]
+    true = asymmetry(k) < MAX_SYMMETRISED_ASYMMETRY and imbalance < MIN_MEASURED_IMBALANCE
+    if true or balances_by_rounding(k, a):
+        yield Finding(
+            code=Code.TRUE_STIFFNESS if true else Code.CLEANED_STIFFNESS,
+            size=imbalance,
+            unit="of the own stiffness, columns out of balance",
+            remedy="give the matrix as it was measured",
+        )
+
+
+def orientation_effects(matrix: StiffnessMatrix) -> Iterator[Finding]:
+    """Say that a matrix is transposed, or was made symmetric: alpha is then that of sensors."""
+    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    cost, imbalance = rigid_cost_and_imbalance(k, a)
+    if (
+        len(k) >= MIN_JUDGED_ACTUATORS
+        and asymmetry(k) < MAX_SYMMETRISED_ASYMMETRY
+        and imbalance > MIN_MEASURED_IMBALANCE
+    ):
+        yield Finding(
+            code=Code.SYMMETRISED_STIFFNESS,
+            size=imbalance,
+            unit="of the own stiffness, columns out of balance",
+            remedy="use the matrix as it was measured: averaged, it does not separate alpha from"
+            " sensor gains",
+        )
+    elif looks_transposed(k, a) and cost > MAX_SENSOR_COST:
+        yield Finding(
+            code=Code.TRANSPOSED_STIFFNESS,
+            size=cost,
+            unit="of the own stiffness, to move it rigidly",
+            remedy="store [i, j], the force of actuator i per displacement of sensor j",
+        )
+
+
+def rigid_cost(squares: tuple[Array, Array], x: Array, y: Array) -> float:
+    """Return what rigid motions cost in terms of any; the less by (n, n) K'K and KK', at (n,)."""
+    rigid = np.linalg.qr(np.stack([np.ones(len(x)), x, y], axis=1))[0]
+    least = min(float(np.sum(rigid * (square @ rigid))) for square in squares)
+    return float(np.sqrt(max(least, 0.0) / (3.0 / len(x) * np.trace(squares[0]))))
+
+
+def other_orders(x: Array, y: Array) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Yield orders that people come to, and (n,) the coordinates that belong to each row."""
+    n = len(x)
+    every = np.arange(n)
+    yield "reversed", every[::-1]
+    for shift in range(1, n):
+        rows = shift if shift <= n // 2 else shift - n
+        yield f"shifted by {rows} row{'s' if abs(rows) > 1 else ''}", np.roll(every, -rows)
+    for rows in range(2, n // 2 + 1):
+        if n % rows == 0:
+            yield f"a table of {rows} rows, transposed", every.reshape(rows, -1).T.ravel()
+    radius = np.hypot(x, y)
+    jumps = np.abs(np.diff(radius)) > RADIUS_TOLERANCE * radius.max(initial=0.0)
+    rings = np.split(every, np.flatnonzero(jumps) + 1)
+    if 1 < len(rings) < n // 2:
+        yield "rings the other way round", np.concatenate([ring[::-1] for ring in rings])
+        start_kept = [np.roll(ring[::-1], 1) for ring in rings]
+        yield "rings the other way round, from the same start", np.concatenate(start_kept)
+        yield "rings from the rim inward", np.concatenate(rings[::-1])
+        for step in (-1, 1):
+            turned = [np.roll(ring, step) for ring in rings]
+            yield "rings that start at another actuator", np.concatenate(turned)
+
+
+def rigid_cost_and_imbalance(k: Array, a: Array) -> tuple[float, float]:
+    """Return what a rigid displacement costs, and how far a column is out of balance.
+
+    K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
+    {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
+
+    Parameters
+    ----------
+    k, a
+        (n, n) stiffness [N/m] and (3, n) arms in comparable units.
+
+    Returns
+    -------
+    tuple of float
+        Each in terms of the own stiffness of an actuator, the median over all.
+    """
+    own = np.abs(np.diag(k))
+    own = np.where(own > 0.0, own, np.inf)
+    rows, columns = np.linalg.norm(k @ a.T, axis=1), np.linalg.norm(a @ k, axis=0)
+    return float(np.median(rows / own)), float(np.median(columns / own))
+
+
+def looks_transposed(k: Array, a: Array) -> bool:
+    """Tell whether an (n, n) stiffness looks transposed; (3, n) arms."""
+    cost, imbalance = rigid_cost_and_imbalance(k, a)
+    return cost > TRANSPOSED_COST_RATIO * imbalance and not balances_by_rounding(k, a)
+
+
+def balances_by_rounding(k: Array, a: Array) -> bool:
+    """Tell whether (n, n) commanded forces balance but for rounding; (3, n) arms.
+
+    Rounding of the computer, of single precision, or that of a file with few digits. Not where
+    rigid motions cost more than gains of sensors do: so are displacements cleaned, and transposed.
+    """
+    (cost, imbalance), unlike = rigid_cost_and_imbalance(k, a), asymmetry(k)
+    if cost > MAX_SENSOR_COST:
+        return False
+    if imbalance < max(MAX_REBALANCED_IMBALANCE, MIN_UNLIKENESS * unlike):
+        return True
+    if imbalance > MIN_ROUNDING_SHARE * unlike:
+        return False
+    own, steps = np.abs(np.diag(k)), rounding_steps(list(k.T))[:, None]  # of each actuator
+    variances = np.maximum(steps, digit_steps(k)) ** 2 / 12.0
+    rounded = np.sqrt(np.sum(a**2, axis=0) @ variances) / np.where(own > 0.0, own, np.inf)
+    return imbalance < ROUNDING_RATIO * float(np.median(rounded))
+
+
+def digit_steps(k: Array) -> Array:
+    """Return the step of each of (n, n) elements, by the significant digits that all have, or 0."""
+    size = np.abs(k)
+    tens = 10.0 ** np.floor(np.log10(np.where(size > 0.0, size, 1.0)))
+    for digits in DIGIT_COUNTS:
+        steps = tens * 10.0 ** (1 - digits)
+        if (np.abs(size / steps - np.round(size / steps)) < WRITTEN_TOLERANCE).all():
+            return np.where(size > 0.0, steps, 0.0)
+    return np.zeros_like(k)
+
+
+def share_by_distance(k: Array, a: Array) -> float:
+    """Return which part of the couplings is what their distance lets expect, 1 for all.
+
+    Neighbours are coupled most, and in one glass alike; positions in another order than rows and
+    columns leave nothing of that. For fewer than four actuators NaN.
+
+    Parameters
+    ----------
+    k, a
+        (n, n) stiffness [N/m] and (3, n) arms in comparable units.
+    """
+    if len(k) < 4:
+        return float("nan")
+    distance = np.hypot(a[1][:, None] - a[1], a[2][:, None] - a[2]) / typical_spacing(a)
+    c = relative_couplings(0.5 * (k + k.T))
+    pairs = np.triu_indices(len(k), 1)
+    c, bins = c[pairs], np.minimum((8.0 * distance[pairs]).astype(int), int(16 * NEAR_SPACINGS))
+    c = np.clip(c, -1.0, 1.0)
+    order = np.argsort(bins, kind="stable")
+    expected = np.zeros_like(c)
+    for some in np.split(order, np.flatnonzero(np.diff(bins[order])) + 1):
+        expected[some] = np.median(c[some])
+    whole = float(np.sum(c**2))
+    return 1.0 - float(np.sum((c - expected) ** 2)) / whole if whole else float("nan")

@@ -1,0 +1,292 @@
+"""A stiffness matrix with what does not fit left out, as campaigns are screened of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.finding import MAX_NAMES, Finding
+from truenewton.estimation.findings.thresholds import LIMITS
+from truenewton.estimation.matrix.bad_sensors import fill_by_symmetry
+from truenewton.estimation.matrix.couplings import ELSEWHERE, pair_ratios, typical_spacing
+from truenewton.estimation.matrix.misfits import (
+    NO_FORCE,
+    NO_SENSOR,
+    ROW_UNLIKE_COLUMN,
+    BadActuator,
+    FitsNoSymmetry,
+    bad_actuators,
+    condensed,
+    residual_force,
+)
+from truenewton.estimation.matrix.order import (
+    MIN_JUDGED_ACTUATORS,
+    balance_effects,
+    order_effects,
+    orientation_effects,
+    refuse_compliance,
+    refuse_no_stiffness,
+)
+from truenewton.records.segmented import refuse_segments
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import named
+from truenewton.statics.arms import comparable_arms, enabled_arms
+
+MIN_MANY_MISFITS = 3
+MIN_SEEN_COUPLING = 0.3  # of the own stiffness, in any column: so none tells what it was
+BALANCED_RATIO = 5.0  # times what is typical: columns about an actuator that was off
+
+
+@dataclass(frozen=True, eq=False)
+class ScreenedMatrix:
+    """What fits of a matrix.
+
+    Attributes
+    ----------
+    matrix
+        Those left out are disabled; the others as they are where these push nothing.
+    start
+        (n_enabled,) alpha from symmetry, as if all sensors had one gain.
+    disturbance
+        (n_enabled, 3, 3) covariance of what those left out may add to the balance of each column,
+        torques in comparable units [N^2/m^2].
+    warnings, effects
+        Which were left out, and why.
+    unsure
+        Why all actuators are kept although some do not fit, if that is so.
+    pushing
+        Columns around one that is zero do not balance, as if it had pushed.
+    """
+
+    matrix: StiffnessMatrix
+    start: Array
+    disturbance: Array
+    warnings: tuple[Finding, ...] = ()
+    effects: tuple[Finding, ...] = ()
+    unsure: tuple[Finding, ...] = ()
+    pushing: bool = False
+
+
+def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
+    """Find the actuators that are off or do not fit, and leave them out.
+
+    Raises
+    ------
+    RankDeficient
+        Rows are in another order or of another sign, more than one pushes unseen, or none feels
+        another.
+    """
+    refuse_segments(matrix)
+    matrix = released(matrix)
+    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    refuse_no_stiffness(k)
+    refuse_compliance(matrix)
+    disorder = (*order_effects(matrix, named=True), *balance_effects(matrix))
+    if disorder:  # whoever stands where is then no matter of single actuators
+        n = len(k)
+        return ScreenedMatrix(matrix, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
+    ids = matrix.layout.id[matrix.layout.enabled]
+    k, *halves = fill_by_symmetry(k, a)
+    off = np.asarray(~(k.any(axis=0) & k.any(axis=1)), dtype=np.bool_)
+    half = [
+        BadActuator(int(i), reason, 0.0)
+        for some, reason in zip(halves, (NO_FORCE, NO_SENSOR), strict=True)
+        for i in some
+    ]
+    bad: tuple[BadActuator, ...] = ()
+    unsure: tuple[Finding, ...] = ()
+    measured = np.flatnonzero(~off)
+    if len(measured) >= MIN_JUDGED_ACTUATORS:
+        block = np.ix_(measured, measured)
+        filled = np.searchsorted(measured, [each.index for each in half]).tolist()
+        try:
+            found, mended = bad_actuators(k[block], a[:, ~off], a[:, off], filled)
+        except FitsNoSymmetry as error:
+            found, mended, unsure = (), k[block], (_as_measured(error),)
+        length = float(np.linalg.norm(enabled_arms(matrix.layout)[1:]) / np.linalg.norm(a[1:]))
+        bad = tuple(_of_all(each, measured, length) for each in found)
+        raw, k = k, k.copy()
+        k[block] = mended
+        unlike = [each.index for each in bad if each.reason == ROW_UNLIKE_COLUMN]
+        if unlike and _better_as_read(raw, k, a, ~off, bad, unlike):
+            k[unlike] = raw[unlike]
+    known = {each.index for each in half}
+    bad = (*(each for each in bad if each.index not in known), *half)
+    good, doubt = np.asarray(~off, dtype=np.bool_), np.zeros(len(k))
+    good[[each.index for each in bad]] = False
+    doubt[[each.index for each in bad]] = [each.doubt for each in bad]
+    core = condensed(k, good)[0]
+    start = np.exp(np.clip(pair_ratios(core)[0], -1.0, 1.0)) if len(core) else np.ones(0)
+    some_off = bool(off.any() and good.any())
+    pushing = some_off and not _balanced_about(core, a, good, off, start)
+    if pushing:
+        # Three equations of a column hold one alpha: two unknown forces leave nothing over.
+        if np.count_nonzero(off) > 1:
+            raise RankDeficient(
+                f"{named('actuator', ids[off].tolist(), 20)} have rows or columns of zeros in"
+                " STIFFNESS, but pushed: the columns around them do not balance",
+                remedy="measure the stiffness with them switched off, or their rows and columns",
+                got=int(np.count_nonzero(off)),
+            )
+        doubt[off] = MIN_SEEN_COUPLING
+    disturbance = np.zeros((len(core), 3, 3))
+    if doubt.any():
+        disturbance = residual_force(k, a, good, doubt)
+    screened = matrix if good.all() else freed(matrix, good, core)
+    return ScreenedMatrix(
+        screened,
+        start,
+        disturbance,
+        (*unsure, *_warnings(ids, off, bad, pushing=pushing)),
+        (
+            *_effects(ids, off, bad),
+            *order_effects(screened, named=False),
+            *orientation_effects(screened),
+        ),
+        unsure,
+        pushing,
+    )
+
+
+def released(matrix: StiffnessMatrix) -> StiffnessMatrix:
+    """Return a matrix in states in which disabled actuators that pushed push nothing.
+
+    The row and the column of an actuator that was off are zero: it is left out as it is.
+    """
+    on = matrix.layout.enabled
+    k = np.asarray(matrix.stiffness)
+    pushed = ~on & k[:, on].any(axis=1) & k[on].any(axis=0)
+    if not pushed.any():
+        return matrix
+    there = on | pushed
+    core = condensed(k[np.ix_(there, there)], on[there])[0]
+    return freed(replace(matrix, layout=replace(matrix.layout, enabled=there)), on[there], core)
+
+
+def _of_all(each: BadActuator, measured: NDArray[np.int64], length: float) -> BadActuator:
+    """Return a bad actuator by its index among all; how far it is from its place is in metres."""
+    size = each.size * length if each.reason == ELSEWHERE else each.size
+    return BadActuator(int(measured[each.index]), each.reason, size)
+
+
+def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> StiffnessMatrix:
+    """Return the matrix with enabled actuators that are not good disabled.
+
+    Parameters
+    ----------
+    matrix
+        Measured.
+    good
+        (n_enabled,) which stay.
+    core
+        (n_good, n_good) their stiffness in states in which the others push nothing [N/m].
+    """
+    on = matrix.layout.enabled
+    left = on.copy()
+    left[on] = good
+    stiffness = np.zeros_like(matrix.stiffness)  # of those that are freed nothing is left
+    stiffness[np.ix_(left, left)] = core
+    return replace(matrix, layout=replace(matrix.layout, enabled=left), stiffness=stiffness)
+
+
+def as_calibrated(matrix: StiffnessMatrix, effects: Sequence[Finding]) -> StiffnessMatrix:
+    """Return the matrix with those actuators freed that a calibration's effects say it left out."""
+    matrix = released(matrix)
+    left_out = {Code.ACTUATOR_OFF, Code.ACTUATOR_MISFIT}
+    out = [i for each in effects if each.code in left_out for i in each.actuators]
+    good = ~np.isin(matrix.layout.id[matrix.layout.enabled], out)
+    if good.all():
+        return matrix
+    return freed(matrix, good, condensed(matrix.used_stiffness, good)[0])
+
+
+def _better_as_read(
+    raw: Array,
+    k: Array,
+    a: Array,
+    measured: NDArray[np.bool_],
+    bad: Sequence[BadActuator],
+    unlike: Sequence[int],
+) -> bool:
+    """Tell whether the columns balance better with those freed by their rows than by their columns.
+
+    Freed by its row, an actuator may have a sensor that reads any nonsense; by its column, a row.
+    """
+    good = measured.copy()
+    good[[each.index for each in bad]] = False
+    sizes = []
+    for rows in (raw, k):
+        tried = k.copy()
+        tried[unlike] = rows[unlike]
+        core = condensed(tried, good)[0]
+        start = np.exp(np.clip(pair_ratios(core)[0], -1.0, 1.0))
+        rho = (a[:, good] * start) @ core
+        sizes.append(float(np.sum(rho**2)))
+    return sizes[0] < sizes[1]
+
+
+def _balanced_about(
+    core: Array, a: Array, good: NDArray[np.bool_], off: NDArray[np.bool_], start: Array
+) -> bool:
+    """Tell whether columns next to those that are off balance as well as the others do."""
+    arms = a[:, good]
+    own = np.abs(np.diag(core))
+    size = np.linalg.norm((arms * start) @ core, axis=0) / np.where(own > 0.0, own, np.inf)
+    distance = np.hypot(arms[1][:, None] - a[1, off], arms[2][:, None] - a[2, off])
+    near = (distance < 2.0 * typical_spacing(a)).any(axis=1)
+    if not near.any() or near.all():
+        return True
+    return bool(np.median(size[near]) < BALANCED_RATIO * np.median(size[~near]))
+
+
+def _as_measured(error: FitsNoSymmetry) -> Finding:
+    """Return what is said of a matrix of which all is kept, as too much does not fit."""
+    return Finding.of(Code.MISFITS_KEPT, fault=error.fault, advice=error.remedy)
+
+
+def _warnings(
+    ids: NDArray[np.int64], off: NDArray[np.bool_], bad: Sequence[BadActuator], *, pushing: bool
+) -> Iterator[Finding]:
+    """Yield that some were off and pushed all the same, or that many do not fit."""
+    if pushing:
+        yield Finding.of(Code.OFF_BUT_PUSHING, actuators=ids[off])
+    if len(bad) > max(MIN_MANY_MISFITS, LIMITS.misfit_fraction * len(ids)):
+        names = [ids[each.index] for each in bad]
+        yield Finding.of(Code.MANY_MISFITS, count=len(bad), n=len(ids), actuators=names)
+
+
+def _effects(
+    ids: NDArray[np.int64], off: NDArray[np.bool_], bad: Sequence[BadActuator]
+) -> Iterator[Finding]:
+    """Yield which actuators were left out: one finding for each reason, with how far it goes."""
+    for reason in dict.fromkeys(each.reason for each in bad):
+        some = [each for each in bad if each.reason == reason]
+        names = [int(ids[each.index]) for each in some]
+        far = max(each.size for each in some)
+        elsewhere = reason == ELSEWHERE
+        yield Finding(
+            code=Code.ACTUATOR_MISFIT,
+            detail=f"{reason}, up to {far:.2g} m off" if elsewhere else reason,
+            where=named("actuator", names, MAX_NAMES),
+            actuators=tuple(names),
+            size=far,
+            corrected=True,
+            remedy="correct X and Y of these rows of ACTUATORS, in m"
+            if elsewhere
+            else "check its coil, driver, cable, sensor and position; until it is repaired, set"
+            " ENABLED to F",
+        )
+    if off.any():
+        yield Finding(
+            code=Code.ACTUATOR_OFF,
+            where=named("actuator", ids[off].tolist(), MAX_NAMES),
+            actuators=tuple(ids[off].tolist()),
+            corrected=True,
+            remedy="set ENABLED to F if it was off; its alpha is not calibrated",
+        )

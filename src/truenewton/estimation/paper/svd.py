@@ -1,0 +1,220 @@
+"""The paper's method: E alpha' = r by singular value decomposition, rows as they are.
+
+It puts the noise where there is none (the right-hand side) and none where it is (the matrix): with
+noisy readings it is biased, and its errors here are scatter and weights, without that bias.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import Estimate, Scale
+from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.scale_budget import WeightErrors, scale_errors, weight_errors
+from truenewton.estimation.findings.thresholds import LIMITS
+from truenewton.estimation.paper.equations import system_e
+from truenewton.estimation.paper.identifiability import diagnose, refuse
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.readings.repeats import row_groups
+from truenewton.linalg import singular_values_and_vectors
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
+
+
+@dataclass(frozen=True, eq=False)
+class SingularSolution:
+    """Least squares of a linear system.
+
+    Attributes
+    ----------
+    matrix, right_side
+        (equations, unknowns) and (equations,).
+    solution
+        (unknowns,).
+    singular_values
+        (unknowns,) descending.
+    rank
+        Singular values above rounding: says nothing of noisy data.
+    inverse
+        (unknowns, unknowns) of E' E.
+    """
+
+    matrix: Array
+    right_side: Array
+    solution: Array
+    singular_values: Array
+    rank: int
+    inverse: Array
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value; infinite where that is 0."""
+        largest, *_, least = self.singular_values
+        return float(largest / least) if least else float("inf")
+
+
+def solve(matrix: Array, right_side: Array) -> SingularSolution:
+    """Solve an overdetermined system, (m, u) and (m,), by singular value decomposition.
+
+    Raises
+    ------
+    RankDeficient
+        The matrix is singular to rounding.
+    """
+    solved, unknowns = solve_whatever_rank(matrix, right_side), matrix.shape[1]
+    if solved.rank < unknowns:
+        raise RankDeficient(
+            f"the system has rank {solved.rank} of {unknowns}",
+            remedy="apply more independent shapes, or a load that differs",
+            got=solved.rank,
+            want=unknowns,
+        )
+    return solved
+
+
+def solve_whatever_rank(matrix: Array, right_side: Array) -> SingularSolution:
+    """Solve (m, u) and (m,) as `solve`; of a singular matrix the shortest of all solutions.
+
+    A QR factorisation comes first, which keeps the singular values and makes tall systems cheap.
+
+    Raises
+    ------
+    RankDeficient
+        There are fewer equations than unknowns.
+    """
+    unknowns = matrix.shape[1]
+    if len(matrix) < unknowns:
+        raise RankDeficient(
+            f"{len(matrix)} equations for {unknowns} unknowns",
+            remedy="apply more shapes",
+            got=len(matrix),
+            want=unknowns,
+        )
+    triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
+    left, values, right = singular_values_and_vectors(triangle[:, :-1])
+    rank = int(np.count_nonzero(values > values[0] * np.finfo(float).eps * unknowns))
+    pseudo_inverse = right[:rank].T / values[:rank]
+    return SingularSolution(
+        matrix=matrix,
+        right_side=right_side,
+        solution=pseudo_inverse @ (left[:, :rank].T @ triangle[:, -1]),
+        singular_values=values,
+        rank=rank,
+        inverse=pseudo_inverse @ pseudo_inverse.T,
+    )
+
+
+def fit(campaign: Campaign) -> SingularSolution:
+    """Solve E alpha' = r, rows unweighted and torques in N m, as the paper writes it.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    return solve(*system_e(campaign, enabled_arms(campaign.layout)))
+
+
+def _by_load(campaign: Campaign, equations: Array) -> list[Array]:
+    """Part (equations, ...) of E or r into loads, each (3, rows, ...)."""
+    counts = [np.count_nonzero(cycle.valid) for cycle in campaign.cycles]
+    ends = 3 * np.cumsum(np.bincount(campaign.load_index, counts).astype(int))
+    parts = np.split(equations, ends[:-1])
+    return [part.reshape(3, -1, *part.shape[1:]) for part in parts]
+
+
+def scatter_covariance(campaign: Campaign, solved: SingularSolution) -> Array:
+    """Return the (u, u) covariance of the solution about its mean, from the scatter of the rows.
+
+    The three equations of a row share its noise, and that noise is in the matrix: residuals are
+    neither independent nor alike. How far each row pulls, e' (r - e alpha'), scatters among its
+    repeats, whatever the form of the noise (the sandwich of Huber and White); a row without a
+    repeat counts with all of its pull.
+    """
+    residual = solved.right_side - solved.matrix @ solved.solution
+    loads = zip(_by_load(campaign, solved.matrix), _by_load(campaign, residual), strict=True)
+    pull = np.concatenate([np.einsum("krp,kr->rp", e, remainder) for e, remainder in loads])
+    member = np.concatenate(row_groups(campaign)[2])  # campaigns stand in the order of E
+    count = np.bincount(member)
+    mean = np.zeros((len(count), pull.shape[1]))
+    np.add.at(mean, member, pull)
+    mean /= count[:, None]
+    pull -= np.where((count > 1)[:, None], mean, 0.0)[member]
+    pull *= np.sqrt(count / np.maximum(count - 1, 1))[member, None]
+    return np.asarray(solved.inverse @ (pull.T @ pull) @ solved.inverse)
+
+
+def weight_changes(campaign: Campaign, solved: SingularSolution, errors: WeightErrors) -> Array:
+    """Return (errors, unknowns) the change of the solution by each error of the weights."""
+    by_load = np.stack(  # d solution / d W of each load
+        [solved.inverse @ e[0].sum(axis=0) for e in _by_load(campaign, solved.matrix)]
+    )
+    changes = [change @ by_load for change in errors.values()]
+    return np.array(changes).reshape(-1, len(solved.solution))
+
+
+def condition_in_units_of_rms(campaign: Campaign) -> float:
+    """Return the condition of E, each coordinate in units of its RMS over the actuators."""
+    e, _ = system_e(campaign, arms_in_units_of_rms(campaign.layout))
+    values = scipy.linalg.svdvals(scipy.linalg.qr(e, mode="r")[0][: e.shape[1]])
+    return float(values[0] / values[-1])
+
+
+def bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array:
+    """Return the (u,) bias of the solution to first order: -(E'E)^-1 D alpha.
+
+    Noise of (n,) variances s_i^2 [N^2] in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2)
+    to E'E and nothing to E'r.
+    """
+    a = enabled_arms(campaign.layout)
+    n = a.shape[1]
+    d = len(solved.matrix) // 3 * variance * np.sum(a**2, axis=0)
+    return np.asarray(-solved.inverse[:, :n] @ (d * solved.solution[:n]))
+
+
+def _bias_warnings(biased: Array, scatter: Array) -> Iterator[Finding]:
+    """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
+    size, stated = (float(np.sqrt(np.mean(each**2))) for each in (biased, scatter))
+    if size > 0.2 * stated:
+        yield Finding.of(
+            Code.SVD_BIAS if size < LIMITS.svd_bias * stated else Code.SVD_BIAS_LARGE, bias=size
+        )
+
+
+def find(campaign: Campaign, moments: Moments) -> Estimate:
+    """Solve E alpha' = r of a campaign, as the paper does; its moments say what it can fix.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    diagnosis = diagnose(campaign, moments)
+    refuse(diagnosis.faults, diagnosis.undetermined)
+    fitted, errors = fit(campaign), weight_errors(campaign)
+    solution = fitted.solution
+    n = int(campaign.layout.enabled.sum())
+    reading_covariance = scatter_covariance(campaign, fitted)
+    changes = weight_changes(campaign, fitted, errors)
+    if moments.repeats:
+        biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
+        warnings = _bias_warnings(biased, np.sqrt(np.diag(reading_covariance)[:n]))
+        diagnosis = replace(diagnosis, warnings=tuple(warnings))
+    return Estimate(
+        method="svd",
+        scale=Scale.WEIGHTS,
+        values=solution,
+        reading_covariance=reading_covariance,
+        systematic_covariance=changes.T @ changes,
+        noise=moments.noise,
+        condition=condition_in_units_of_rms(campaign),
+        solved_condition=fitted.condition,
+        rank=len(solution) - diagnosis.undetermined,
+        diagnosis=diagnosis,
+        scale_errors=scale_errors(solution[:n], reading_covariance[:n, :n], changes[:, :n], errors),
+    )

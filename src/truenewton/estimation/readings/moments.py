@@ -1,0 +1,366 @@
+"""Repeats put together: number, mean and scatter, pooled over loads and signs, summed over shapes.
+
+Rows pooled over loads and signs: what shapes share besides their repeats.
+
+A true shape costs the same elastic forces under every load, and the opposite ones with the opposite
+sign. So the (g, n) means c of groups (`moments`), of weights r, are linear in a few rows,
+
+    c = X b,    X: a column for each load and sign (statics), one for each SHAPE times its SIGN
+
+(and times the size of the displacements under that load, where POSITION tells another than 1), and
+with U spanning X, U' diag(r) U = 1, all that the balance hears of c is the R rows y = U' r c,
+each with the noise of one reading. What is left, c - U y, is noise alone if shapes do repeat over
+loads and signs: that is tested, and where it does not hold every group stands for itself, R = g.
+
+What a campaign boils down to: repeats put together, then sums over shapes.
+
+Rows with the same load, SHAPE and SIGN share their true forces, so their number, mean and scatter
+contain all that they say of alpha. From the means, everything the likelihood needs of a load is
+their number, sum and second moment: one symmetric rank-k update by BLAS.
+
+Where POSITION and the gradients are given, c becomes c (1 + COILGRAD z), and the bias magnets'
+change BIASGRAD z is kept as a known part of the balance (docs/files.md). Displacements count from
+one reading of each sensor for the whole campaign (`displaced_rows.common_reference`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.linalg.blas import dsyrk
+
+from truenewton.arrays import Array
+from truenewton.chance import normal_isf
+from truenewton.files.stored_rows import blocks
+from truenewton.linalg import mirrored
+from truenewton.statics.load import Load
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeSums:
+    """Sums over shapes under L loads, each shape counted with its weight r.
+
+    Attributes
+    ----------
+    shapes
+        Number of distinct shapes: each brings its own noise.
+    weight, force, known
+        (L,), (L, n) and (L, 3) sums of r, r c and r q, each load by itself; q is the balance known
+        beforehand.
+    square
+        (n, n) sum of r c c' over all loads.
+    known_force, known_square
+        (3, n) and (3, 3) sums of r q c' and r q q' over all loads.
+    """
+
+    shapes: int
+    weight: Array
+    force: Array
+    square: Array
+    known: Array
+    known_force: Array
+    known_square: Array
+
+
+def shape_sums(mean: Array, weight: Array, known: Array, share: Array) -> ShapeSums:
+    """Return the sums over shapes.
+
+    Parameters
+    ----------
+    mean, weight, known
+        (g, n) forces [N], (g,) weights r, (g, 3) known balance.
+    share
+        (L, g) how much of the load each shape carries: 1 of its own, but of pooled rows some of
+        each (`pooling`).
+    """
+    n = mean.shape[1]
+    if (weight == weight[0]).all():
+        square = dsyrk(float(weight[0]), mean.T)
+    else:
+        square = np.zeros((n, n), order="F")
+        for some in blocks(len(mean), 8 * n):
+            heavy = mean[some] * np.sqrt(weight[some])[:, None]
+            square = dsyrk(1.0, heavy.T, beta=1.0, c=square, overwrite_c=True)
+    square = mirrored(square).T  # in the order of C
+    of_load = share * weight
+    q = known * weight[:, None]
+    anything = bool(q.any())
+    return ShapeSums(
+        shapes=int(np.count_nonzero(weight)),
+        weight=np.sum(of_load * share, axis=1),
+        force=of_load @ mean,
+        square=square,
+        known=of_load @ known,
+        known_force=q.T @ mean if anything else np.zeros((3, n)),
+        known_square=q.T @ known,
+    )
+
+
+MIN_EIGENVALUE = 1e-9  # eigenvalue, in terms of the largest, of a direction of X that counts
+
+
+@dataclass(frozen=True, eq=False)
+class Pooling:
+    """Rows that carry what groups share.
+
+    Attributes
+    ----------
+    basis
+        (g, R) U.
+    weight
+        (g,) r.
+    """
+
+    basis: scipy.sparse.csr_array
+    weight: Array
+
+    @property
+    def count(self) -> int:
+        """R."""
+        return int(self.basis.shape[1])
+
+    @cached_property
+    def _transposed(self) -> scipy.sparse.csr_array:
+        return self.basis.T.tocsr()
+
+    def weighed(self, factor: Array | float = 1.0) -> scipy.sparse.csr_array:
+        """Return (R, g) U' r f, f a (g,) factor."""
+        weighed, heavy = self._transposed.copy(), self.weight * factor
+        weighed.data *= heavy[weighed.indices]
+        return weighed
+
+    def rows(self, values: Array) -> Array:
+        """Return (R, m) U' r v of (g, m) values v of the groups."""
+        return np.asarray(self.weighed() @ values)
+
+    @property
+    def squared_lengths(self) -> Array:
+        """(g,) sum of the squares of each row of U."""
+        return np.asarray(self.basis.multiply(self.basis).sum(axis=1)).ravel()
+
+    def groups(self, rows: Array) -> Array:
+        """Return (g, m) U y, what (R, m) rows y say of the groups."""
+        return np.asarray(self.basis @ rows)
+
+
+def each_by_itself(weight: Array) -> Pooling:
+    """Return the rows of groups that share nothing; those of weight 0 have none."""
+    counted = np.flatnonzero(weight)
+    values = (1.0 / np.sqrt(weight[counted]), (counted, np.arange(counted.size)))
+    return Pooling(scipy.sparse.csr_array(values, shape=(weight.size, counted.size)), weight)
+
+
+def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) -> Pooling:
+    """Return the rows of groups whose shapes repeat over loads and signs.
+
+    Parameters
+    ----------
+    labels, weight
+        (g, 3) index of the load, SHAPE, SIGN; (g,) r, 0 of groups that do not count.
+    size
+        (L,) of shapes under each load, 1 under the first.
+    """
+    g, on = len(labels), np.flatnonzero(weight)
+    _, shape = np.unique(labels[on, 1], return_inverse=True)
+    _, statics = np.unique(2 * labels[on, 0] + (labels[on, 2] > 0), return_inverse=True)
+    sign = labels[on, 2] * size[labels[on, 0]]
+    r = weight[on]
+    of_shape = scipy.sparse.csr_array((sign, (on, shape.ravel())), shape=(g, shape.max() + 1))
+    of_statics = np.zeros((g, statics.max() + 1))
+    of_statics[on, statics.ravel()] = 1.0
+    # Of the statics what shapes do not tell already; both orthonormal in r.
+    total = np.bincount(shape.ravel(), weights=r * sign**2)
+    told = of_shape.T @ (weight[:, None] * of_statics) / total[:, None]
+    apart = of_statics - of_shape @ told
+    values, vectors = np.linalg.eigh(apart.T @ (weight[:, None] * apart))
+    counted = values > MIN_EIGENVALUE * r.sum()
+    rest = apart @ (vectors[:, counted] / np.sqrt(values[counted]))
+    parts = [of_shape / np.sqrt(total), scipy.sparse.csr_array(rest)]
+    return Pooling(scipy.sparse.hstack(parts, format="csr"), weight)
+
+
+QUARTILE = normal_isf(0.25)  # median of |z|
+
+
+@dataclass(frozen=True, eq=False)
+class WithinGroups:
+    """How rows of one group differ by file and by hour, in files + 1 functions h of a row.
+
+    h is 1 in one file and 0 elsewhere, for each file; then the hours since the mean of all rows.
+
+    Attributes
+    ----------
+    weight, hour
+        (files, g) sums of the weights and of the weighted hours of the rows of each group, by file.
+    square
+        (g,) weighted sum of the squared hours.
+    mean
+        (g, n) c_mean, as the rows have it [N].
+    zero, gain
+        (files + 1, n) weighted sums over all rows of h (c - c_mean) [N], and of the same times
+        c_mean.
+    """
+
+    weight: Array
+    hour: Array
+    square: Array
+    mean: Array
+    zero: Array
+    gain: Array
+
+    @cached_property
+    def first(self) -> Array:
+        """(files + 1, g) weighted sums of h."""
+        return np.vstack([self.weight, self.hour.sum(axis=0)])
+
+    @property
+    def second(self) -> Array:
+        """(files + 1, g) weighted sums of h^2."""
+        return np.vstack([self.weight, self.square])
+
+    def products(self, index: int) -> Array:
+        """Return (files + 1, g) weighted sums of h times one of the h."""
+        files = len(self.weight)
+        if index == files:
+            return np.vstack([self.hour, self.square])
+        products = np.zeros_like(self.first)
+        products[index], products[files] = self.weight[index], self.hour[index]
+        return products
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Groups of rows that repeat one shape.
+
+    Attributes
+    ----------
+    loads
+        The L loads.
+    labels
+        (g, 3) index of the load, SHAPE, SIGN; sorted.
+    rows
+        (g,) number of rows; 0, as its weight, for a group that is left out.
+    weight
+        (g,) sum of the weights of the rows; their number where no file declares its noise.
+    mean
+        (g, n) mean commanded force of the enabled actuators, COILGRAD taken in [N].
+    known
+        (g, 3) mean of what is known of the balance beforehand: A (BIASGRAD z).
+    scatter
+        (n,) weighted sum of squared deviations of rows from their group's mean [N^2].
+    reference
+        (n,) readings from which displacements count [m]; NaN where from the mean of each cycle.
+    pooled
+        Whether shapes repeat over loads and signs as well (`pooling`).
+    displacement
+        (g, n) mean displacement of each sensor [m]; None without POSITION.
+    within
+        How rows of one group differ by file and by hour; None of merged moments.
+    step
+        (n,) of which readings are multiples [N], 0 where they are of none.
+    """
+
+    loads: tuple[Load, ...]
+    labels: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    weight: Array
+    mean: Array
+    known: Array
+    scatter: Array
+    reference: Array
+    pooled: bool = False
+    displacement: Array | None = None
+    within: WithinGroups | None = None
+    step: Array | float = 0.0
+
+    @property
+    def groups(self) -> int:
+        """Number of groups that are not left out: of distinct shapes, each with its own noise."""
+        return int(np.count_nonzero(self.rows))
+
+    @property
+    def repeats(self) -> int:
+        """Rows less groups: the degrees of freedom of the scatter of one actuator."""
+        return int(self.rows.sum()) - self.groups
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of one reading, RMS over actuators [N]; NaN if nothing repeats."""
+        if not self.repeats:
+            return float("nan")
+        return float(np.sqrt(self.scatter.mean() / self.repeats * self.typical_variance))
+
+    @property
+    def typical_variance(self) -> float:
+        """Variance of a typical row in terms of one of weight 1."""
+        return float(self.rows.sum() / self.weight.sum())
+
+    @property
+    def rounding(self) -> Array | float:
+        """(n,) variance of rounding, in terms of a reading of weight 1 [N^2]."""
+        return np.square(self.step) / 12 / self.typical_variance
+
+    @cached_property
+    def sums(self) -> ShapeSums:
+        """The sums over groups, or over the rows that they are pooled to; taken once."""
+        of_load = self.of_load
+        if not self.pooled:
+            return shape_sums(self.mean, self.weight, self.known, of_load.T)
+        pooling = self.pooling
+        mean, known, share = map(pooling.rows, (self.mean, self.known, of_load))
+        return shape_sums(mean, np.ones(pooling.count), known, share.T)
+
+    @property
+    def of_load(self) -> Array:
+        """(g, L) 1 where a group stands under a load, else 0."""
+        return np.asarray(self.labels[:, :1] == np.arange(len(self.loads)), dtype=np.float64)
+
+    @cached_property
+    def sizes(self) -> tuple[Array, Array]:
+        """(L,) size of the shapes under each load, as POSITION has it, and its variance.
+
+        In terms of the first load; 1 where it is that within four standard errors.
+        """
+        size, variance = np.ones((2, len(self.loads)))
+        variance[0] = 0.0
+        z, signed = self.displacement, self.labels[:, 1] * self.labels[:, 2]
+        for load_index in range(1, len(self.loads)):
+            both = np.intersect1d(signed[self.labels[:, 0] == 0],
+                                  signed[self.labels[:, 0] == load_index])  # fmt: skip
+            if z is None or both.size < 2:
+                continue
+            first, other = (
+                z[(self.labels[:, 0] == k) & np.isin(signed, both)] for k in (0, load_index)
+            )
+            first, other = first - first.mean(axis=0), other - other.mean(axis=0)
+            square = np.sum(first**2, axis=1)
+            moved = square > 1e-3 * square.max()
+            if not moved.any():
+                continue
+            ratios = np.sum(first * other, axis=1)[moved] / square[moved]
+            ratio = float(np.median(ratios))  # a file may have other shapes than it says
+            spread = float(np.median(np.abs(ratios - ratio))) / QUARTILE
+            variance[load_index] = 0.5 * np.pi * spread**2 / len(ratios)
+            if abs(ratio - 1.0) > 4 * np.sqrt(variance[load_index]):
+                size[load_index] = ratio
+        return size, variance
+
+    @cached_property
+    def pooling(self) -> Pooling:
+        """Which rows carry what groups share."""
+        if self.pooled:
+            return over_loads_and_signs(self.labels, self.weight, self.sizes[0])
+        return each_by_itself(self.weight)
+
+
+def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:
+    """Return moments in which only the (g,) chosen groups count; scatter stays that of all.
+
+    The others keep their place and lose their rows and weight, so that no mean is copied.
+    """
+    rows, weight = np.where(chosen, moments.rows, 0), np.where(chosen, moments.weight, 0.0)
+    return replace(moments, rows=rows, weight=weight)

@@ -1,0 +1,327 @@
+"""A stiffness matrix alone: states from its singular vectors, their noise from what is left.
+
+The modes, stiffest first, stand in bins of equal number. Residuals of a pair of bins share one
+variance: their mean square, over 1 less the mean leverage, since a fit takes part of them up.
+
+Noise of the elements of a stiffness, from what reciprocity leaves of each pair.
+
+Where elements were measured one by one, the noise of each is equal in all, in proportion to it, or
+some of both, and more at some sensors than at others,
+
+    V_ij = c_j (a^2 + p^2 k_ij^2)
+
+Forces true at the magnets, K = D_alpha K_c (H D_g)^-1, differ from their transpose by noise whose
+variance is linear in the V of a row, and by what errors of the sensors' offsets do to them. a^2,
+p^2, c and the size of the latter are the likeliest for all pairs, as if these were independent; one
+factor of each actuator, alpha times gain, is left free. Where modes were driven, or the stiffness
+regressed, noise is one of modes (`binned_noise`) instead: of white noise both are likely alike, of
+any other that one in whose terms it has no correlations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.reciprocity.information import Leverage, Residuals
+from truenewton.estimation.reciprocity.iteration import Fit
+from truenewton.estimation.reciprocity.sensor_model import Places, SensorModel, sight
+from truenewton.estimation.reciprocity.states import States, Weights, equal_bins
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Values
+from truenewton.linalg import inverse_of_positive
+
+MAX_BINS = 12
+MIN_MODES_IN_BIN = 8  # modes in a bin
+ENOUGH_MODES_IN_BIN = (
+    20  # modes in a bin, from which on each of three equations tells its own noise
+)
+MAX_BLOCK_LEVERAGE = (
+    0.95  # of a block of residuals, by a fit: beyond, too little is left to tell noise
+)
+# Of the variance of the quietest pair with the same mode, what is rigid has at least so much: gains
+# and offsets of a small mirror can fit rigid motions without any rest.
+MIN_RIGID_VARIANCE = 0.01
+UNDAMPED_UPDATES = (
+    8  # times; from then on variances go half the way, which ends what swings to and fro
+)
+FORCE_ROUNDING = 1e-12  # of the forces: no residual is less noisy
+
+
+@dataclass(eq=False)
+class BinnedNoise:
+    """States of a stiffness, and their noise as the last residuals have it.
+
+    Attributes
+    ----------
+    stiffness
+        (n, n) K_c, of the modes that are used alone [N/m].
+    readings
+        (n, m) V, as read; stiffest first.
+    balance
+        Whether statics alone counts.
+    leverage
+        Of the last fit; None at first.
+    times, before
+        How often the noise was taken; the variances of the last time.
+    latest
+        The last unknowns and states.
+    """
+
+    stiffness: Array
+    readings: Array
+    balance: bool = False
+    leverage: Leverage | None = field(default=None)
+    times: int = field(default=0)
+    before: tuple[Array, Array, Array] | None = field(default=None)
+    latest: tuple[Values, States] | None = field(default=None)
+
+    def told(self, leverage: Leverage) -> None:
+        """Take the leverages of a fit over."""
+        self.leverage = leverage
+
+    def __call__(self, places: Places, values: Values, seen: SensorModel) -> tuple[States, Weights]:
+        """Return states and weights at some values."""
+        states = self.states(places, values, seen)
+        weights = self.weights(states)
+        return states, weights.of_balance if self.balance else weights
+
+    def states(self, places: Places, values: Values, seen: SensorModel) -> States:
+        """Return the states, W'W as it comes and Q orthonormal."""
+        true = values.alpha[:, None] * self.stiffness
+        if self.latest is not None and values.same_sensors(self.latest[0]):
+            states = self.latest[1]  # alpha alone changes, and with it the forces
+            forces, rigid_forces = true @ states.readings, true @ states.rigid_readings
+            return replace(states, forces=forces, rigid_forces=rigid_forces)
+        rigid, triangle = np.linalg.qr(places.rigid)
+        turn = np.linalg.inv(triangle)
+        rigid_readings = places.rigid_readings(values) @ turn
+        moved = seen.motion @ (values.gain[:, None] * self.readings)
+        apart = moved - rigid @ (rigid.T @ moved)
+        displaced = _dual(apart)
+        basis = np.linalg.qr(rigid_readings)[0]
+        dual = _dual(self.readings - basis @ (basis.T @ self.readings))
+        states = States(
+            readings=self.readings,
+            forces=true @ self.readings,
+            displacements=moved,
+            rigid_readings=rigid_readings,
+            rigid_forces=true @ rigid_readings,
+            turn=turn,
+            rigid=rigid,
+            displaced=displaced,
+            balancing=rigid - displaced @ (moved.T @ rigid),
+            dual=dual,
+        )
+        self.latest = (values, states)
+        return states
+
+    def weights(self, states: States) -> Weights:
+        """Return weights from what the states leave now, and from the leverages of the last fit."""
+        work = states.displacements.T @ states.forces
+        left = Residuals(
+            states.rigid.T @ states.forces, states.displacements.T @ states.rigid_forces, work
+        )
+        bins = equal_bins(states.count, min(MAX_BINS, states.count // MIN_MODES_IN_BIN))
+        sizes = np.array([some.stop - some.start for some in bins])
+        starts = [some.start for some in bins]
+        pairs = np.outer(sizes, sizes) - np.diag(sizes)
+        taken = self.leverage or Leverage(
+            np.zeros((3, len(bins))), np.zeros((len(bins), 3)), np.zeros((len(bins),) * 2)
+        )
+        square = np.add.reduceat(
+            np.add.reduceat(left.reciprocity**2, starts, axis=0), starts, axis=1
+        )
+        # of the diagonal bins half the pairs; off it the leverage of a pair of bins stands whole
+        of_pair = taken.reciprocity * (1.0 + np.eye(len(bins)))
+        variance = square / _left(pairs, of_pair)
+        statics = np.add.reduceat(left.statics**2, starts, axis=1) / _left(sizes, taken.statics)
+        rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(sizes[:, None], taken.rigid)
+        variance = np.maximum(variance, FORCE_ROUNDING**2 * np.mean(np.diagonal(work) ** 2))
+        if sizes.min() < ENOUGH_MODES_IN_BIN:
+            statics = np.repeat(statics.mean(axis=0, keepdims=True), 3, axis=0)
+            rigid = np.repeat(rigid.mean(axis=1, keepdims=True), 3, axis=1)
+        least = MIN_RIGID_VARIANCE * variance.min(axis=0)
+        found = (np.maximum(statics, least), np.maximum(rigid, least[:, None]), variance)
+        if self.times > UNDAMPED_UPDATES and self.before is not None:
+            found = tuple(np.sqrt(one * old) for one, old in zip(found, self.before, strict=True))
+        self.times, self.before = self.times + 1, found
+        statics, rigid, variance = found
+        return Weights(
+            statics=np.repeat(1.0 / statics, sizes, axis=1),
+            rigid=np.repeat(1.0 / rigid, sizes, axis=0),
+            reciprocity=1.0 / variance,
+            bins=bins,
+            share=shares(variance, sizes),
+        )
+
+
+def shares(variance: Array, sizes: NDArray[np.int64]) -> Array:
+    """Return (m, m) variances of T over those of A, by (b, b) variances of A between bins.
+
+    The variance of T_lm is r_l c_m: so those of T_lm and T_ml have the sum that A has, and the
+    product that the bins of l and m have by themselves. The force of the noisier state has more.
+    """
+    own = np.diag(variance)
+    half = 0.5 * variance
+    apart = np.sqrt(np.maximum(half**2 - 0.25 * np.outer(own, own), 0.0))
+    share = (half + np.where(own > own[:, None], apart, -apart)) / variance
+    return np.asarray(np.repeat(np.repeat(share, sizes, axis=0), sizes, axis=1))
+
+
+def _dual(basis: Array) -> Array:
+    """Return (n, m) D in the span of a basis B, D'B = 1."""
+    return np.asarray(scipy.linalg.solve(basis.T @ basis, basis.T, assume_a="pos").T)
+
+
+def _left(count: Array, taken: Array) -> Array:
+    """Return how many residuals a fit leaves of so many."""
+    return np.asarray(count * (1.0 - np.minimum(taken / count, MAX_BLOCK_LEVERAGE)))
+
+
+MAX_NOISE_STEPS = 40  # of three each
+SETTLED_VARIANCE, SETTLED_SENSOR = (
+    2e-3,
+    0.05,
+)  # relative change of what matters to the variance; of c
+MIN_ELEMENT_VARIANCE = 1e-24  # variance in terms of the mean square of an element
+PRIOR_RESIDUALS = 4.0  # residuals' worth of belief that a sensor is as noisy as the others
+MAX_PAIR_LEVERAGE = 0.9  # of a pair, by factors: beyond, too little is left to tell noise
+NEGLIGIBLE_VARIANCE_SHARE = 1e-4  # share of the variance that does not matter
+MIN_PART_SHARE = 1e-6  # below which no part of the variance falls, so that logarithms stay bounded
+MAX_LOG_STEP = 4.0  # step of a logarithm
+
+
+def element_variance(stiffness: Array, fit: Fit, places: Places) -> tuple[Array, float]:
+    """Return (n, n) variances of the elements of a measured stiffness [(N/m)^2], and their cost.
+
+    Of sensors where the fit has them and of sensors at their magnets, whichever is likelier. The
+    cost is twice minus the mean log likelihood of a pair, to compare with that of modes.
+
+    Parameters
+    ----------
+    stiffness
+        (n, n) K_c, force per reading.
+    fit
+        Of alpha and the sensors.
+    places
+        Of the actuators.
+    """
+    at_magnets = replace(fit.values, offset=np.zeros_like(fit.values.offset))
+    ways = [sight(places, at_magnets, slopes=False)]
+    if fit.asked.offset_spread:
+        ways.append(sight(places, fit.values, slopes=True))
+    found, start = list[tuple[Array, float]](), None
+    for seen in ways:
+        variance, cost, start = _likeliest(stiffness, fit, seen, start)
+        found.append((variance, cost))
+    return min(found, key=lambda each: each[1])
+
+
+def _likeliest(
+    stiffness: Array, fit: Fit, seen: SensorModel, start: Array | None
+) -> tuple[Array, float, Array]:
+    """Return variances where the sensors see so, their cost, and the logarithms behind them.
+
+    With those of another way to ``start`` from, fewer steps are needed. Steps are those of a
+    minorant of the likelihood, in which no variance becomes negative (Zhou et al., J. Comput.
+    Graph. Stat. 28, 350, 2019). Two of them say how far a third may go (SQUAREM: Varadhan and
+    Roland, Scand. J. Stat. 35, 335, 2008).
+    """
+    n, alpha = len(stiffness), fit.values.alpha
+    back = np.linalg.inv(seen.motion * fit.values.gain)
+    true = alpha[:, None] * stiffness @ back
+    apart, whole = true - true.T, 0.5 * (true + true.T)
+    left = 1.0 - max(0.0, fit.parameters[2] - n) / fit.equations[2]  # by what else is fitted
+    mixed = np.asarray(back**2)
+    own, mean = alpha[:, None] ** 2, float(np.mean(stiffness**2))
+    alone = np.count_nonzero(mixed) == n  # each sensor sees its own magnet alone
+    laws = np.stack([np.broadcast_to(own, stiffness.shape), own * stiffness**2 / mean])
+    moved, pairs = _by_offsets(true @ seen.motion, fit, seen), ~np.eye(n, dtype=bool)
+
+    def by_mixing(each: Array, mixed: Array) -> Array:
+        return np.asarray(each * np.diag(mixed) if alone else each @ mixed)
+
+    def stepped(logs: Array) -> tuple[Array, float]:
+        """Return the logarithms of a^2, p^2, the offsets' part and c after a step; their cost."""
+        size, offsets, sensor = np.exp(logs[:2]), float(np.exp(logs[2])), np.exp(logs[3:])
+        each = np.tensordot(size, laws, 1)
+        total = by_mixing(each * sensor, mixed) + offsets * moved
+        total = total + total.T
+        np.fill_diagonal(total, np.inf)  # nothing is its own transpose
+        had = 1.0 / total
+        square = _without_factors(apart, whole, had) / left
+        cost = float(np.mean(np.log(total[pairs]) + (square * had)[pairs]))
+        wanted = square * had**2
+        by_offsets = np.sum(moved * wanted) / np.sum(moved * had) if moved.any() else 1.0
+        wanted, had = by_mixing(wanted, mixed.T), by_mixing(had, mixed.T)
+        told, expected = (np.sum(laws * (sensor * part), axis=(1, 2)) for part in (wanted, had))
+        size = size * np.sqrt(told / expected)
+        size = np.maximum(size, max(MIN_ELEMENT_VARIANCE * mean, MIN_PART_SHARE * size.max()))
+        counted = sensor * np.sum(each * had, axis=0) + PRIOR_RESIDUALS
+        sensor = np.sqrt(
+            (sensor**2 * np.sum(each * wanted, axis=0) + PRIOR_RESIDUALS) * sensor / counted
+        )
+        offsets = max(offsets * np.sqrt(by_offsets), MIN_PART_SHARE)
+        return np.log(np.concatenate([size, [offsets], sensor])), cost
+
+    logs = start
+    if logs is None:
+        first = max(
+            0.25 * float(np.mean(apart**2)) / float(np.mean(own)), MIN_ELEMENT_VARIANCE * mean
+        )
+        logs = np.concatenate([np.log([first, first, 1.0]), np.zeros(n)])
+    for _ in range(MAX_NOISE_STEPS):
+        one, _ = stepped(logs)
+        two, cost = stepped(one)
+        step, bend = one - logs, two - 2.0 * one + logs
+        far = max(1.0, float(np.linalg.norm(step)) / max(float(np.linalg.norm(bend)), 1e-300))
+        jumped = logs + np.clip(2.0 * far * step + far**2 * bend, -MAX_LOG_STEP, MAX_LOG_STEP)
+        logs, reached = stepped(jumped)
+        change = np.abs(logs - jumped)
+        if not reached <= cost:
+            logs, reached, change = two, cost, np.abs(two - one)
+        matters = logs[:2] > np.log(NEGLIGIBLE_VARIANCE_SHARE) + logs[:2].max()
+        if change[:2][matters].max() < SETTLED_VARIANCE and change[3:].max() < SETTLED_SENSOR:
+            break
+    size = np.exp(logs[:2])
+    variance = (size[0] + size[1] * stiffness**2 / mean) * np.exp(logs[3:])
+    return variance, reached, logs
+
+
+def cost_of_modes(fit: Fit) -> float:
+    """Return what a pair costs if noise is one of modes, each of unit length."""
+    states, weights = fit.point.states, fit.point.weights
+    pairs = ~np.eye(states.count, dtype=bool)
+    length = np.log(np.sum(states.displacements**2, axis=0))
+    unit = np.log(weights.of_pairs) + length[:, None] + length
+    return 1.0 - float(np.mean(unit[pairs]))
+
+
+def _by_offsets(forces: Array, fit: Fit, seen: SensorModel) -> Array:
+    """Return (n, n) variance of forces per displacement by errors of the offsets."""
+    total = np.zeros_like(forces)
+    if seen.slopes is None:
+        return total
+    for kind, slopes in zip(OFFSETS, seen.slopes, strict=True):
+        errors = np.diag(fit.covariance_of(kind))
+        total += (forces**2 * errors) @ (slopes @ np.linalg.inv(seen.motion)) ** 2
+    return total
+
+
+def _without_factors(apart: Array, whole: Array, weight: Array) -> Array:
+    """Return (n, n) squared differences of pairs without what one factor of each explains.
+
+    Each over 1 less its leverage: a few strong pairs make most of a factor.
+    """
+    links = weight * whole**2
+    laplacian = np.diag(links.sum(axis=1)) - links
+    laplacian += np.trace(laplacian) / len(links) ** 2  # the factor of all is free
+    inverse = inverse_of_positive(laplacian)
+    factor = inverse @ np.sum(weight * whole * apart, axis=1)
+    own = np.diag(inverse)
+    leverage = np.minimum(links * (own[:, None] + own - 2.0 * inverse), MAX_PAIR_LEVERAGE)
+    return np.asarray((apart - whole * (factor[:, None] - factor)) ** 2 / (1.0 - leverage))

@@ -1,0 +1,185 @@
+"""Where sensors see the mirror and where forces do work: from displacements of one to the other.
+
+Between its actuators the glass bends nearly as a thin plate. The smoothest plate through what the
+sensors see at s = x - delta,
+
+    u(p) = sum_k a_k phi(p - x_k) + b (1, p),    sum a = 0,  sum a x = 0,    phi = r^2 log r
+
+has its forces a where the magnets are, x. H takes u(s) to u(x), G_x and G_y to its slopes at the
+sensors. As u is linear in what it is held to, the change of H with an offset is exact:
+
+    d(H z) / d(delta_xj) = H e_j (G_x z)_j
+
+A model of the glass knows better: what sensors at s read is N(delta) times what they would read at
+their magnets, and H = H_0 N^-1, G_x = N_x N^-1 with N_x the change of N along x. N is a series of
+second order in the offsets, row by row, of which H and G are exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import lu_factor, lu_solve
+
+from truenewton.arrays import Array
+from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.linalg import ROWS_AT_ONCE
+from truenewton.statics.layout import Layout
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where the enabled actuators are.
+
+    Attributes
+    ----------
+    x, y, nz
+        (n,) of their magnets [m, m, -].
+    motion
+        (n, n) H_0, displacements at the magnets for those that sensors there see, by a model of the
+        glass; None where there is none.
+    changes
+        (5, n, n) how readings change with the places of the sensors, along x, y [1/m], xx, xy, yy
+        [1/m2], for what all would read at their magnets; None where no model tells.
+    """
+
+    x: Array
+    y: Array
+    nz: Array
+    motion: Array | None = None
+    changes: Array | None = None
+
+    @property
+    def n(self) -> int:
+        """Their number."""
+        return len(self.x)
+
+    @property
+    def length(self) -> float:
+        """Rms distance from the axis [m]."""
+        return float(np.sqrt(np.mean(self.x**2 + self.y**2)))
+
+    @property
+    def rigid(self) -> Array:
+        """(n, 3) R: rigid motions as the magnets have them, tilts in units of ``length``."""
+        return np.stack([self.nz, self.x / self.length, self.y / self.length], axis=1)
+
+    def rigid_readings(self, values: Values) -> Array:
+        """Return (n, 3) what the sensors read of rigid motions, by their gains and offsets."""
+        dx, dy = values.offset
+        seen = [self.nz, (self.x - dx) / self.length, (self.y - dy) / self.length]
+        return np.asarray(np.stack(seen, axis=1) / values.gain[:, None])
+
+
+def places_of(layout: Layout, motion: Array | None = None) -> Places:
+    """Return the places of the enabled actuators of a layout, and what a model of the glass tells.
+
+    That is (n, n) motion of all actuators, or (6, n, n) motion and changes. Disabled ones float:
+    what their sensors would read is that of the plate between the others.
+    """
+    on = layout.enabled
+    places = Places(layout.x[on], layout.y[on], layout.nz[on])
+    if motion is None:
+        return places
+    read = np.zeros((layout.n, places.n))
+    read[on] = np.eye(places.n)
+    if not on.all():
+        at = np.stack([layout.x, layout.y]) / places.length
+        rows = np.concatenate([_plate(at[:, ~on], at[:, on])[0], _linear(at[:, ~on])], axis=1)
+        read[~on] = np.linalg.solve(_held_plate(at[:, on], at[:, on]).T, rows.T).T[:, : places.n]
+    seen = (motion[..., on, :] @ read).reshape(-1, places.n, places.n)
+    return replace(places, motion=seen[0], changes=seen[1:] if len(seen) > 1 else None)
+
+
+@dataclass(frozen=True, eq=False)
+class SensorModel:
+    """What the sensors see.
+
+    Attributes
+    ----------
+    motion
+        (n, n) H, displacements at the magnets for those at the sensors.
+    slopes
+        (2, n, n) G_x, G_y: slopes at the sensors for displacements there [1/m]; None where offsets
+        are not asked for.
+    """
+
+    motion: Array
+    slopes: Array | None = None
+
+
+def sight(places: Places, values: Values, *, slopes: bool) -> SensorModel:
+    """Return what the sensors see, by a model of the glass, or of a plate if off.
+
+    Without either H is 1: an annular sensor round its magnet sees less of a bend than that has, but
+    nearly in proportion over the mirror, which leaves the stiffness nearly symmetric.
+    """
+    n = places.n
+    motion = np.eye(n) if places.motion is None else places.motion
+    if not slopes:
+        return SensorModel(motion)
+    if places.changes is not None:
+        return _by_glass(motion, places.changes, values.offset)
+    unit = places.length
+    at = np.stack([places.x, places.y]) / unit
+    seen = at - values.offset / unit
+    system, dx, dy = _held_plate(seen, at), *_plate(seen, at)[1:]
+    rows = np.zeros((3, n, n + 3))
+    rows[0, :, :n], rows[0, :, n:] = _plate(at, at)[0], _linear(at)
+    rows[1, :, :n], rows[1, :, n + 1] = dx / unit, 1.0 / unit
+    rows[2, :, :n], rows[2, :, n + 2] = dy / unit, 1.0 / unit
+    solved = lu_solve(lu_factor(system, check_finite=False), rows.reshape(3 * n, -1).T, trans=1)
+    across = solved.T.reshape(3, n, n + 3)[:, :, :n]
+    return SensorModel(motion @ across[0], across[1:])
+
+
+def seen_from(places: Places, offset: Array) -> Array:
+    """Return (n, n) H of `sight` alone, for (2, n) offsets, in no more memory than it takes."""
+    if places.motion is not None or not offset.any():
+        values = Values(np.zeros(places.n), np.zeros(places.n), offset)
+        return sight(places, values, slopes=bool(offset.any())).motion
+    n, at = places.n, np.stack([places.x, places.y]) / places.length
+    seen = at - offset / places.length
+    system, rows = np.zeros((n + 3, n + 3)), np.empty((n, n + 3))
+    for start in range(0, n, ROWS_AT_ONCE):
+        some = slice(start, min(start + ROWS_AT_ONCE, n))
+        system[some, :n], rows[some, :n] = (_plate(of[:, some], at)[0] for of in (seen, at))
+    system[:n, n], system[:n, n + 1 :] = 1.0, seen.T
+    system[n, :n], system[n + 1 :, :n] = 1.0, at
+    rows[:, n], rows[:, n + 1 :] = 1.0, at.T
+    factors = lu_factor(system.T, overwrite_a=True, check_finite=False)
+    return np.asarray(lu_solve(factors, rows.T, overwrite_b=True, check_finite=False).T[:, :n])
+
+
+def _by_glass(motion: Array, changes: Array, offset: Array) -> SensorModel:
+    """Return what sensors see off their magnets, by a model of the glass."""
+    x, y = -offset[:, :, None]
+    along, across, xx, xy, yy = changes
+    slopes = np.stack([along + x * xx + y * xy, across + x * xy + y * yy])
+    read = 0.5 * (x * (along + slopes[0]) + y * (across + slopes[1]))
+    read[np.diag_indices(len(read))] += 1.0
+    back = np.linalg.inv(read)
+    return SensorModel(motion @ back, slopes @ back)
+
+
+def _held_plate(seen: Array, centres: Array) -> Array:
+    """Return (n + 3, n + 3) the equations of a plate held where (2, n) sensors see it."""
+    n = seen.shape[1]
+    system = np.zeros((n + 3, n + 3))
+    system[:n, :n], system[:n, n:] = _plate(seen, centres)[0], _linear(seen)
+    system[n:, :n] = _linear(centres).T
+    return system
+
+
+def _linear(of: Array) -> Array:
+    """Return (n, 3) 1, x and y of places (2, n)."""
+    return np.concatenate([np.ones((1, of.shape[1])), of]).T
+
+
+def _plate(of: Array, centres: Array) -> tuple[Array, Array, Array]:
+    """Return (n, n) r^2 log r of places (2, n) from centres, and its slopes along x and y."""
+    x, y = of[:, :, None] - centres[:, None, :]
+    square = x**2 + y**2
+    log = np.log(np.where(square > 0.0, square, 1.0))
+    return 0.5 * square * log, x * (log + 1.0), y * (log + 1.0)

@@ -1,0 +1,133 @@
+"""A matrix whose forces balance as commanded tells no alpha: cleaned of rigid motions, or true."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.balanced import START, p45_bench, p45_matrix
+from truenewton.errors import TrueNewtonWarning
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.matrix.order import balance_effects
+from truenewton.estimation.matrix.screen import screen_matrix
+from truenewton.estimation.reciprocity.acceptance import Evidence, instead, refusals
+from truenewton.importers.importing import stiffness_from
+from truenewton.modal.findings import find_modes
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+
+
+def cleaned(k, rigid):
+    """Return (n, n) k less what (n, 3) rigid motions it holds on both sides, and in forces only."""
+    rigid = np.linalg.qr(rigid)[0]
+    forces = k - rigid @ (rigid.T @ k)
+    return forces - (forces @ rigid) @ rigid.T, forces
+
+
+def written(k, digits):
+    """Return (n, n) k as a file of so many significant digits holds it."""
+    return np.array([[float(f"{each:.{digits}g}") for each in row] for row in k])
+
+
+CLEANED_WAYS = {
+    "both": lambda k, rigid: cleaned(k, rigid)[0],
+    "forces": lambda k, rigid: cleaned(k, rigid)[1],
+    "single precision": lambda k, rigid: cleaned(k, rigid)[0].astype(np.float32).astype(float),
+    "four decimals": lambda k, rigid: 1e2 * np.round(cleaned(k, rigid)[0] / 1e2),
+    "three decimals": lambda k, rigid: 1e3 * np.round(cleaned(k, rigid)[1] / 1e3),
+    "three digits": lambda k, rigid: written(cleaned(k, rigid)[0], 3),
+    "four digits": lambda k, rigid: 1e6 * written(1e-6 * cleaned(k, rigid)[1], 4),
+    "six digits": lambda k, rigid: written(cleaned(k, rigid)[1], 6),
+    "symmetric": lambda k, rigid: cleaned(0.5 * (k + k.T), rigid)[0],
+    "symmetric, three": lambda k, rigid: 1e3 * np.round(cleaned(0.5 * (k + k.T), rigid)[0] / 1e3),
+    "symmetric, digits": lambda k, rigid: written(cleaned(0.5 * (k + k.T), rigid)[0], 3),
+}
+
+
+def rigid_motions(of):
+    return np.stack([of.nz, of.x, of.y], axis=1)[of.enabled]
+
+
+@pytest.mark.parametrize("way", CLEANED_WAYS)
+def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
+    """It balances with alpha = 1, and truth is 0.7 .. 1.1, and nobody is told to transpose it."""
+    matrix, _ = p45_matrix()
+    k = CLEANED_WAYS[way](matrix.stiffness, rigid_motions(matrix.layout))
+    balanced = replace(matrix, stiffness=k)
+    [effect] = screen_matrix(balanced).effects
+    assert effect.code == (Code.TRUE_STIFFNESS if "symmetric" in way else Code.CLEANED_STIFFNESS)
+    assert effect.remedy == "give the matrix as it was measured"
+    made = stiffness_from(k, matrix.layout, unit="N/m")
+    assert (made.balanced, made.transposed) == (True, False)
+    assert "cleaned of rigid motions?" in repr(made)
+    assert "TRANSPOSED" not in repr(made)
+
+
+@pytest.mark.parametrize("digits", [None, 3e4, 3, 5])
+@pytest.mark.parametrize("noise", [1e-6, 1e-3])
+def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
+    """Electronics into which alpha is loaded: what its noise leaves out of balance is measured."""
+    truth, random = p45_bench().truth, np.random.default_rng(3)
+    right = 1.0 + 3e-4 * random.standard_normal(45)
+    k = truth.stiffness * (1.0 + noise * random.standard_normal((45, 45))) / right[:, None]
+    if digits is not None:
+        k = written(k, digits) if digits < 10 else digits * np.round(k / digits)
+    assert not [*balance_effects(StiffnessMatrix("P45", START, truth.layout, k))]
+
+
+def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_they_are():
+    """Rigid motions taken out of readings leave forces as they were measured."""
+    matrix, _ = p45_matrix()
+    k = cleaned(matrix.stiffness.T, rigid_motions(matrix.layout))[1].T
+    assert screen_matrix(replace(matrix, stiffness=k)).effects == ()
+    [effect] = screen_matrix(replace(matrix, stiffness=k.T)).effects
+    assert effect.code == Code.TRANSPOSED_STIFFNESS
+
+
+def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
+    """One made symmetric, of alpha that scatter by 1.5 %: balance leaves others than 1."""
+    truth = p45_bench().truth
+    k = truth.stiffness / (1.0 + 0.015 * np.random.default_rng(6).standard_normal(45))[:, None]
+    k = 0.5 * (k + k.T)
+    with pytest.warns(TrueNewtonWarning, match="symmetric and balanced as commanded: a true one"):
+        found = find_modes(StiffnessMatrix("P45", START, truth.layout, k))
+    assert (found.calibration.alpha[truth.layout.enabled] == 1.0).all()
+    [warning] = found.warnings
+    assert "taken for a true one" in warning.fault
+    assert "alpha is 1" in warning.fault
+    assert found.imbalance[0] == found.imbalance[1]
+
+
+def test_every_command_says_what_was_done_to_it(inside, tmp_path):
+    matrix, _ = p45_matrix()
+    rigid, svd = rigid_motions(matrix.layout), ("--method", "svd")
+    k = cleaned(matrix.stiffness, rigid)[1]
+    np.save(tmp_path / "k.npy", k)
+    np.savetxt(tmp_path / "xy.csv", rigid[:, 1:], delimiter=",", header="X,Y", comments="")
+    code, out, _ = inside(
+        "import", tmp_path / "k.npy", tmp_path / "xy.csv", "--unit", "N/m", "--lengths", "m",
+        "-o", tmp_path / "k.fits",
+    )  # fmt: skip
+    assert code == 0
+    assert "alpha        none of a matrix that is balanced as commanded" in out
+    assert "next" not in out
+    assert "ranspose" not in out
+    code, _, err = inside("calibrate", tmp_path / "k.fits", *svd, "-o", tmp_path / "alpha.fits")
+    assert code == 2
+    said = "already balanced as commanded: alpha is gone (cleaned of rigid motions?)"
+    assert said in err
+    assert not (tmp_path / "alpha.fits").exists()
+    code, out, _ = inside("info", tmp_path / "k.fits", *svd)
+    assert code == 0
+    assert said in out
+    assert "rejected" in out
+
+
+@pytest.mark.parametrize(("error", "gross"), [(0.34, True), (0.004, False)])
+def test_reciprocity_that_makes_no_sense_beside_a_sure_balance_limits_alpha(error, gross):
+    """34 % beside 2e-6 %: so it was of a cleaned matrix; 0.4 % leave annuli without the glass."""
+    evidence = Evidence(as_stated=1e6, error=error, error_by_balance=2e-8)
+    [said] = instead(tuple(refusals(evidence)))
+    assert (said.code == "reciprocity-not-used") is not gross
+    assert ("give it as it was measured" in said.remedy) is gross
+    [apart] = instead(tuple(refusals(Evidence(apart=1e3))))
+    assert apart.cause.code == "estimates-apart"

@@ -1,0 +1,319 @@
+"""Actuators of a stiffness matrix that are off or do not fit are named and left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.balanced import START, p45_bench, p45_matrix
+from studies.simulated_matrices import by_glass, drawn
+from studies.simulated_matrices import measured as with_noise
+from truenewton.bench.simulated.static import static_bench
+from truenewton.calibration.methods import calibrate
+from truenewton.calibration.words import summary_rows
+from truenewton.errors import RankDeficient, TrueNewtonWarning
+from truenewton.estimation.matrix import modes as matrix_modes
+from truenewton.estimation.matrix.couplings import pair_ratios, relative_couplings
+from truenewton.estimation.matrix.misfits import condensed
+from truenewton.estimation.matrix.ml import column_fit, likeliest
+from truenewton.estimation.matrix.modes import columns_of, elastic_modes
+from truenewton.estimation.matrix.screen import screen_matrix
+from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
+from truenewton.estimation.reciprocity.condensation import odd_actuators
+from truenewton.mirrors.known import mmt336, ring
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
+
+BAD = 20
+
+
+def measured(change):
+    """Return the matrix of P45 with 1e-4 noise, one thing changed; and alpha."""
+    matrix, alpha = p45_matrix()
+    x, y, k = matrix.layout.x, matrix.layout.y, np.array(matrix.stiffness)
+    change(k, np.argsort(np.hypot(x - x[BAD], y - y[BAD]))[1])
+    return replace(matrix, stiffness=k), alpha
+
+
+def sign(k, _):
+    """The poles of one actuator are exchanged."""
+    k[BAD] *= -1.0
+
+
+def sensor_sign(k, _):
+    """A sensor reads down where it is up: its column is right but for the sign."""
+    k[:, BAD] *= -1.0
+
+
+def times_ten(k, _):
+    """The unit of one row."""
+    k[BAD] *= 10.0
+
+
+def own_element(k, _):
+    """One element on the diagonal."""
+    k[BAD, BAD] *= 1.2
+
+
+def sensor_gain(k, _):
+    """A sensor reads half of what it should: its column is right but for a factor."""
+    k[:, BAD] *= 2.0
+
+
+def sensor_noise(k, _):
+    """A sensor reads a quarter, and what it likes: nothing of its column can be used."""
+    k[:, BAD] *= 4.0 * (1.0 + 0.3 * np.random.default_rng(8).standard_normal(len(k)))
+
+
+def rows(k, other):
+    """Rows of neighbours."""
+    k[[BAD, other]] = k[[other, BAD]]
+
+
+def off(k, _):
+    """An actuator that was off while the others were measured."""
+    good = np.arange(len(k)) != BAD
+    k[np.ix_(good, good)] = condensed(k, good)[0]
+    k[BAD] = k[:, BAD] = 0.0
+
+
+def element(k, other):
+    """An element so large that rows seem exchanged."""
+    k[BAD, other] *= 100.0
+
+
+def rows_lost(k, _):
+    """Three rows were not stored."""
+    k[[3, 9, BAD]] = 0.0
+
+
+def four_signs(k, _):
+    """The poles of four neighbours are exchanged."""
+    k[30:34] *= -1.0
+
+
+@pytest.mark.parametrize("method", ["svd", pytest.param("ml", marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    ("change", "said", "where"),
+    [
+        (sign, "wrong sign", [BAD]),
+        (sensor_sign, "its sensor has the other sign", [BAD]),
+        (times_ten, "its row 9.1 times as large as those of others", [BAD]),
+        (own_element, "an element of its row is wrong", [BAD]),
+        (element, "an element of its row is wrong", [BAD]),
+        (sensor_gain, "its sensor has another gain", [BAD]),
+        (sensor_noise, "its sensor reads something else", [BAD]),
+        (rows, "its row or column exchanged with another", [BAD - 1, BAD]),
+        (off, "actuator is off", [BAD]),
+        (rows_lost, "its row is zero, though it pushed", [3, 9, BAD]),
+        (four_signs, "wrong sign", [30, 31, 32, 33]),
+    ],
+)
+def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, said, where):
+    matrix, alpha = measured(change)
+    calibration = calibrate(matrix, method)
+    out = ~calibration.layout.enabled
+    assert np.flatnonzero(out).tolist() == where
+    assert np.isnan(calibration.alpha[out]).all()
+    assert all(said in effect.name and effect.corrected for effect in calibration.effects)
+    named = sorted(i for effect in calibration.effects for i in effect.actuators)
+    assert named == matrix.layout.id[where].tolist()
+    check_errors(calibration, alpha, out)
+
+
+def check_errors(calibration, alpha, out):
+    """Check that alpha of those that are not out is within its errors."""
+    z = (calibration.alpha - alpha / alpha[~out].mean())[~out] / calibration.error[~out]
+    assert np.sqrt(np.mean(z**2)) < 1.6
+
+
+@pytest.mark.parametrize(
+    ("at", "off"),
+    [
+        (0, (1.0, 0.0)),
+        pytest.param(12, (0.0, 0.02), marks=pytest.mark.study),
+        pytest.param(23, (-0.03, 0.1), marks=pytest.mark.study),
+    ],
+)
+def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(at, off):
+    """X and Y in another unit, or of another mirror: the innermost of 24, another, the last."""
+    truth, random = static_bench(ring(24), 3).truth, np.random.default_rng(at)
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1.0 + 1e-3 * random.standard_normal(k.shape))
+    here = np.arange(24) == at
+    said = replace(truth.layout, x=truth.layout.x + here * off[0], y=truth.layout.y + here * off[1])
+    found = calibrate(StiffnessMatrix("R24", START, said, k), "ml")
+    assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [at]
+    fault, remedy = found.verdict.faults[0].fault, found.verdict.faults[0].remedy
+    assert f"{np.hypot(*off):.2g} m off (actuator {at + 1})" in fault
+    assert remedy.startswith("correct X and Y")
+    check_errors(found, truth.alpha, here)
+
+
+def test_a_matrix_made_symmetric_is_not_to_be_used():
+    """Half of what tells alpha from gains of sensors is gone: 7 % wrong, 3 % stated."""
+    matrix, _ = p45_matrix()
+    made = replace(matrix, stiffness=0.5 * (matrix.stiffness + matrix.stiffness.T))
+    with pytest.warns(TrueNewtonWarning, match="STIFFNESS is symmetric"):
+        calibration = calibrate(made, "auto")
+    assert (calibration.verdict.level, calibration.method) == ("rejected", "ml")
+    [note] = calibration.verdict.notes
+    assert "STIFFNESS is symmetric" in note.cause.fault
+    assert "use ml" not in str(note)
+    assert calibration.sensors == ()
+    assert ("sensors", "not estimated") in [row[:2] for row in summary_rows(calibration)]
+    for method, remedy in (("svd", "as it was measured"), ("reciprocity", "measured; or use ml")):
+        with pytest.raises(RankDeficient, match=f"STIFFNESS is symmetric.*; .*{remedy}"):
+            calibrate(made, method)
+
+
+@pytest.mark.study
+def test_noise_alone_does_not_make_alpha_harmful():
+    """With 600 N/m soft modes are all noise, and balance as badly with any alpha."""
+    truth = p45_bench().truth
+    clean = truth.stiffness / truth.alpha[:, None]
+    for seed in (1, 2, 6, 8):
+        noise = 600 * np.random.default_rng([7, seed]).standard_normal(clean.shape)
+        calibration = calibrate(StiffnessMatrix("P45", START, truth.layout, clean + noise))
+        error = calibration.alpha - truth.alpha / truth.alpha.mean()
+        assert np.std(error) < 0.6 * np.std(truth.alpha / truth.alpha.mean())
+        assert calibration.verdict.level != "rejected"
+
+
+def test_a_matrix_in_another_order_is_refused():
+    matrix, _ = p45_matrix()
+    turned = np.roll(matrix.stiffness, 7, axis=0)
+    with pytest.raises(RankDeficient, match="do not fit the others"):
+        calibrate(replace(matrix, stiffness=turned))
+
+
+def displaced(order):
+    """Return the sound matrix with the coordinates of other actuators."""
+    matrix, _ = p45_matrix()
+    x, y = matrix.layout.x[order], matrix.layout.y[order]
+    return replace(matrix, layout=replace(matrix.layout, x=x, y=y))
+
+
+EVERY = np.arange(45)
+RINGS = np.split(EVERY, [9, 24])
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        (np.roll(EVERY, 1), ": shifted by 1 row"),
+        (np.roll(EVERY, -1), ": shifted by -1 row"),
+        (EVERY[::-1], ": reversed"),
+        (EVERY.reshape(9, 5).T.ravel(), ": a table of 5 rows, transposed"),
+        (np.concatenate(RINGS[::-1]), ": rings from the rim inward"),
+        (np.concatenate([ring[::-1] for ring in RINGS]), ": rings "),
+        (np.random.default_rng(1).permutation(45), "STIFFNESS"),
+    ],
+)
+def test_coordinates_in_another_order_than_the_matrix_are_told(order, said):
+    effect = screen_matrix(displaced(order)).effects[-1]
+    assert effect.name.startswith("coordinates in another order than STIFFNESS")
+    assert said in effect.name
+    assert not effect.corrected
+
+
+def test_coordinates_in_another_order_are_not_to_be_used():
+    with pytest.warns(TrueNewtonWarning, match="rejected"):
+        calibration = calibrate(displaced(np.roll(EVERY, 1)), "svd")
+    assert calibration.verdict.level == "rejected"
+    assert "coordinates in another order" in calibration.verdict.faults[0].fault
+    with pytest.raises(RankDeficient, match="another order than STIFFNESS: reversed"):
+        calibrate(displaced(EVERY[::-1]))
+
+
+def test_neither_gains_nor_a_mirrored_table_are_another_order():
+    """Sensors that scatter by 5 %; and coordinates seen from the other side."""
+    matrix, _ = p45_matrix()
+    gains = 1.0 + 0.05 * np.random.default_rng(2).standard_normal(45)
+    assert screen_matrix(replace(matrix, stiffness=matrix.stiffness * gains)).effects == ()
+    mirrored = replace(matrix, layout=replace(matrix.layout, x=-matrix.layout.x))
+    assert screen_matrix(mirrored).effects == ()
+    assert calibrate(mirrored, "svd").alpha == pytest.approx(
+        calibrate(matrix, "svd").alpha, rel=1e-9
+    )
+
+
+def test_one_that_is_zero_but_pushed_is_left_out_and_the_others_are_known():
+    def zero(k, _):
+        k[BAD] = k[:, BAD] = 0.0
+
+    matrix, alpha = measured(zero)
+    calibration = calibrate(matrix, "ml")
+    out = ~calibration.layout.enabled
+    assert np.flatnonzero(out).tolist() == [BAD]
+    warning = calibration.diagnosis.warnings[0]
+    assert (warning.code, warning.actuators) == ("off-but-pushing", (matrix.layout.id[BAD],))
+    check_errors(calibration, alpha, out)
+
+
+def test_sensors_that_read_nothing_are_named_and_the_columns_left_give_alpha():
+    def silent(k, _):
+        k[:, [3, 9, BAD]] = 0.0
+
+    matrix, alpha = measured(silent)
+    screened = screen_matrix(matrix)
+    on = screened.matrix.layout.enabled
+    assert np.flatnonzero(~on).tolist() == [3, 9, BAD]
+    reasons = {effect.name.partition(": ")[2] for effect in screened.effects}
+    assert reasons == {"its sensor reads nothing"}
+    found = column_fit(columns_of(screened))
+    z = (found.alpha - alpha[on] / alpha[on].mean()) / np.sqrt(np.diag(found.covariance))
+    assert np.sqrt(np.mean(z**2)) < 1.6
+
+
+def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
+    layout, stiffness = mmt336().layout, static_bench(mmt336(), 1).truth.stiffness
+    random, n = np.random.default_rng(1), layout.n
+    k = 0.5 * (stiffness + stiffness.T) / random.normal(1.0, 0.05, n)[:, None]
+    k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal((n, n))
+    sector = np.argsort(np.hypot(layout.x - layout.x[150], layout.y - layout.y[150]))[:15]
+    k[:, sector] *= 1.5
+    screened = screen_matrix(StiffnessMatrix("MMT336", START, layout, k))
+    [effect] = screened.effects
+    assert sorted(effect.actuators) == sorted(layout.id[sector])
+    assert "its sensor has another gain" in effect.name
+
+
+def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
+    matrix, _ = p45_matrix()
+    screened = screen_matrix(matrix)
+    base = matrix_modes.find(screened, column_fit)
+    values = np.where(np.arange(len(base.values)) == BAD, -0.02, base.values)
+    found = reciprocity_of_matrix.find(screened.matrix, replace(base, values=values))[0]
+    assert np.isfinite(found.values).all()
+
+
+def test_a_row_of_nothing_but_rounding_gives_no_alpha():
+    k, layout = p45_bench().truth.stiffness.copy(), p45_bench().truth.layout
+    k[BAD] *= 1e-9
+    modes = elastic_modes(StiffnessMatrix("P45", START, layout, k))
+    with pytest.raises(RankDeficient, match="of a few actuators alone"):
+        likeliest(modes, comparable_arms(layout))
+
+
+def test_most_own_stiffnesses_may_be_zero():
+    """No division by zero in what judges a matrix; one that does not yield cannot be left free."""
+    k = p45_bench().truth.stiffness.copy()
+    lost = np.arange(33)
+    k[lost, lost] = 0.0
+    assert np.isfinite(relative_couplings(k)).all()
+    for alone in (k, np.diag(k.diagonal() + 1.0)):  # without couplings, too
+        assert np.isfinite(pair_ratios(alone)[0]).all()
+    assert not np.isin(odd_actuators(k), lost).any()
+
+
+def test_sensors_off_their_magnets_are_no_wrong_gains_but_a_wrong_gain_among_them_is():
+    """Half a millimetre times the slope reads as much as a gain of 10 % in the first of them."""
+    bench, random = p45_bench(), np.random.default_rng([0, 11])
+    values = drawn(random, bench.mirror.layout.n, offset=5e-4)
+    k = with_noise(random, by_glass(bench.glass, values), values).stiffness
+    matrix = StiffnessMatrix("P45", START, bench.mirror.layout, k)
+    assert screen_matrix(matrix).effects == ()
+    gains = np.where(np.arange(len(k)) == BAD, 1.5, 1.0)
+    [effect] = screen_matrix(replace(matrix, stiffness=k * gains)).effects
+    assert effect.where == f"actuator {matrix.layout.id[BAD]}"

@@ -1,0 +1,175 @@
+"""Relative alpha from a stiffness matrix: made by hand, and measured on a real mirror."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+from helpers.balanced import START, p45_bench, p45_matrix
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import RankDeficient, TrueNewtonWarning
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.matrix.modes import (
+    balance_modes,
+    elastic_modes,
+    rms_imbalance,
+)
+from truenewton.estimation.matrix.screen import screen_matrix
+from truenewton.reading import read_data
+from truenewton.records.source import Source
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
+
+REAL = os.environ.get("TRUENEWTON_REAL_DATA")
+needs_real_data = pytest.mark.skipif(
+    REAL is None, reason="TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set"
+)
+
+
+@pytest.mark.parametrize("method", ["svd", pytest.param("ml", marks=pytest.mark.study)])
+def test_noiseless_stiffness_gives_alpha_up_to_its_mean_and_no_imbalance(method):
+    matrix, alpha = p45_matrix(0.0)
+    calibration = calibrate(matrix, method)
+    assert calibration.alpha == pytest.approx(alpha / alpha.mean(), rel=1e-9)
+    assert calibration.scale == "mean 1"
+    assert calibration.alpha.mean() == pytest.approx(1.0, rel=1e-13)
+    assert np.isnan(calibration.bias_force)
+    assert calibration.loads == ()
+    assert len(calibration.imbalances) == 3
+    for line in calibration.imbalances:  # of all modes and of held-out ones
+        assert line.before > 0.05
+        assert line.after < 1e-9
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("method", ["svd", "ml"])
+def test_stated_error_is_that_of_fifty_or_on_the_safe_side(method):
+    """Equal noise in all elements: the soft modes carry more of it, the columns the same."""
+    truth = p45_bench().truth
+    clean = truth.stiffness / truth.alpha[:, None]
+    alphas, stated = [], []
+    for seed in range(50):
+        noise = np.random.default_rng([1, seed]).standard_normal(clean.shape)
+        calibration = calibrate(
+            StiffnessMatrix("P45", START, truth.layout, clean + 30 * noise), method
+        )
+        alphas.append(calibration.alpha)
+        stated.append(calibration.error)
+    ratio = np.sqrt(np.mean(np.square(stated), axis=0)) / np.std(alphas, axis=0, ddof=1)
+    covered = np.abs(alphas - truth.alpha / truth.alpha.mean()) < 1.96 * np.array(stated)
+    if method == "ml":  # its noise model is right here
+        assert ratio.mean() == pytest.approx(1.0, abs=0.06)
+        assert 0.92 < covered.mean() < 0.97
+        return
+    assert 1.0 < ratio.mean() < 1.5
+    assert np.all(ratio > 0.85)
+    assert 0.88 < covered.mean() < 0.99
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "N/mm"), (1e-6, "N/um"), (3e5, "counts")])
+def test_alpha_does_not_ask_for_the_unit_of_the_matrix(factor, unit):
+    matrix, _ = p45_matrix()
+    other = replace(matrix, stiffness=factor * matrix.stiffness)
+    calibration, before = calibrate(other, "svd"), calibrate(matrix, "svd")
+    assert calibration.alpha == pytest.approx(before.alpha, rel=1e-9)
+    assert calibration.error == pytest.approx(before.error, rel=1e-6)
+    known = [each.fault for each in before.verdict.faults]
+    [new] = [each for each in calibration.verdict.faults if each.fault not in known]
+    assert f"STIFFNESS looks like {unit}" in new.fault
+    assert "store it in N/m" in new.remedy
+
+
+def test_a_matrix_of_low_rank_or_of_noise_is_refused():
+    matrix, _ = p45_matrix(0.0)
+    left, values, right = np.linalg.svd(matrix.stiffness)
+    low = (left[:, :10] * values[:10]) @ right[:10]
+    source = Source("/somewhere/low.fits", "0" * 64)
+    with pytest.raises(RankDeficient, match=r"^low\.fits: "):
+        calibrate(replace(matrix, stiffness=low, source=source))
+    noise = 1e6 * np.random.default_rng(1).standard_normal((45, 45))
+    with pytest.raises(RankDeficient):
+        calibrate(replace(matrix, stiffness=noise))
+
+
+def test_a_transposed_matrix_is_not_to_be_used():
+    """Its alpha is that of the sensors: 10 % from the truth, stated to be known to .05 %."""
+    matrix, _ = p45_matrix(0.0)
+    assert screen_matrix(matrix).effects == ()
+    turned = replace(matrix, stiffness=matrix.stiffness.T)
+    [effect] = screen_matrix(turned).effects
+    assert effect.code == Code.TRANSPOSED_STIFFNESS
+    assert "[i, j], the force of actuator i per displacement of sensor j" in effect.remedy
+    with pytest.warns(TrueNewtonWarning, match="transposed stiffness"):
+        made = calibrate(turned, "svd")
+    assert made.verdict.level == "rejected"
+
+
+def test_what_costs_as_much_as_gains_of_sensors_only_looks_transposed():
+    """Where alpha is put right already, sensors scatter more, and nothing is wrong."""
+    noisy, truth = p45_matrix()
+    gains = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(len(truth))
+    right = replace(noisy, stiffness=truth[:, None] * noisy.stiffness * gains)
+    assert screen_matrix(right).effects == ()
+    codes = {each.code for each in calibrate(right, "svd").diagnosis.warnings}
+    assert "looks-transposed" in codes
+
+
+def test_imbalance_is_the_rms_over_modes_and_equations():
+    a = np.array([[1.0, 1.0], [2.0, -1.0], [0.0, 3.0]])
+    modes = np.array([[0.6, 0.8]])
+    # nz: 1.4; x: 1.2 - 0.8 = 0.4; y: 2.4
+    expected = np.sqrt((1.4**2 + 0.4**2 + 2.4**2) / 3)
+    assert rms_imbalance(modes, np.ones(2), a) == pytest.approx(expected, rel=1e-15)
+
+
+@pytest.mark.study
+@needs_real_data
+def test_on_a_real_lbt672_alpha_restores_balance():
+    matrix = read_data(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")
+    all_modes, odd, even = calibrate(matrix, "svd").imbalances
+    assert all_modes.before == pytest.approx(0.0564, rel=0.01)
+    assert all_modes.after == pytest.approx(0.0091, rel=0.01)
+    assert (odd.before, odd.after) == pytest.approx((0.0513, 0.0354), rel=0.02)
+    assert (even.before, even.after) == pytest.approx((0.0611, 0.0253), rel=0.02)
+    modes, a = elastic_modes(matrix), comparable_arms(matrix.layout)
+    assert len(modes) == 641
+    _, values = balance_modes(modes, a)
+    assert values[1] / values[0] == pytest.approx(11.7, rel=0.01)  # alpha is determined
+    codes = [each.code for each in calibrate(matrix, "svd").diagnosis.warnings]
+    assert codes == [Code.NEGATIVE_MODES_IN_NOISE]
+
+
+@pytest.mark.study
+@needs_real_data
+def test_on_a_real_lbt672_a_population_foretells_the_modes_it_has_not_seen():
+    """Alpha agrees with the magnets' efficiency, which was measured apart.
+
+    A population shrinks what differs from neighbour to neighbour, the more the less of alpha's
+    spread is smooth: its correlation is a little less.
+    """
+    folder = Path(REAL) / "lbt672"
+    matrix = read_data(folder / "lbt672-feedforward.fits")
+    table = QTable.read(folder / "lbt672-tables.ecsv")
+    assert np.array_equal(table["ID"], matrix.layout.id)
+    efficiency = without_polynomial(np.log(table["MAGNET_EFFICIENCY"]), matrix.layout)
+    plain, pooled = (calibrate(matrix, "ml", population=each) for each in (False, True))
+    _, odd, even = pooled.imbalances
+    assert odd.after <= 0.026
+    assert even.after <= 0.022
+    for calibration, correlation in ((plain, -0.70), (pooled, -0.69)):
+        apart = without_polynomial(calibration.alpha, matrix.layout)
+        assert np.corrcoef(apart, efficiency)[0, 1] <= correlation
+        codes = {each.code for each in calibration.diagnosis.warnings}
+        assert codes == {Code.COLUMN_NOISE_NOT_INDEPENDENT, Code.NEGATIVE_MODES_IN_NOISE}
+
+
+def without_polynomial(values, layout, degree=6):
+    """Take a polynomial of x and y out."""
+    x, y = layout.x / 0.45, layout.y / 0.45
+    terms = np.stack(
+        [x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1
+    )
+    return values - terms @ np.linalg.lstsq(terms, np.asarray(values), rcond=None)[0]

@@ -1,0 +1,79 @@
+"""What makes data insufficient is named, with noise as without: noise fills null spaces."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.balanced import LAYOUT, RING, WEIGHT, campaign_of, p45_bench, p45_shapes, ungraded
+from truenewton.bench.simulated.static import static_bench
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import RankDeficient
+from truenewton.estimation.paper.identifiability import geometry_fault
+from truenewton.mirrors.known import p45
+from truenewton.records.campaign import Campaign
+from truenewton.statics.layout import layout
+from truenewton.statics.load import Load
+
+NOISES = [0.0, 1e-4, 1e-3]
+
+
+def refusal(campaign):
+    """Return the fault of which both methods refuse a campaign."""
+    faults = set()
+    for method in ("svd", "ml"):
+        with pytest.raises(RankDeficient) as refused:
+            calibrate(campaign, method)
+        faults.add(refused.value.fault)
+    [fault] = faults
+    return fault
+
+
+CANCELLED = replace(RING, tilt=float(np.degrees(np.arccos(WEIGHT / (WEIGHT + RING.added)))))
+LINE = layout(np.linspace(-0.1, 0.1, 9), 0.02 + 0.3 * np.linspace(-0.1, 0.1, 9))
+INSUFFICIENT = {
+    "only one load, 'bare'": lambda noise: Campaign(
+        p45_shapes(p45_bench().shapes, noise).cycles[:2]
+    ),
+    "the 2 loads have the same weight": lambda noise: campaign_of(
+        2, noise, loads=(Load("bare"), CANCELLED)
+    )[0],
+    "too few shapes: 10 for 45 actuators": lambda noise: p45_shapes(
+        p45_bench().shapes[3:13], noise
+    ),
+    "the actuators are collinear": lambda noise: campaign_of(3, noise, layout=LINE)[0],
+    "only 3 actuators enabled": lambda noise: campaign_of(4, noise, disabled=range(3, 14))[0],
+}
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("fault", INSUFFICIENT)
+def test_insufficient_data_are_refused_by_name(fault, noise):
+    assert fault in refusal(INSUFFICIENT[fault](noise))
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("cycles", [1, 2])
+def test_forty_five_shapes_out_of_ten_modes_are_dependent(noise, cycles):
+    mixture = np.random.default_rng(0).standard_normal((45, 10)) / 5
+    shapes = mixture @ p45_bench().shapes[3:13]
+    said = refusal(p45_shapes(shapes, noise, cycles))
+    assert "stand above the noise in 10 of the 42 elastic directions" in said
+    assert "patterns of alpha left to noise" in said
+
+
+def test_two_thirds_of_the_modes_suffice_and_alpha_is_right():
+    """Three equations a shape: n / 3 patterns can do, and thirty of forty-two do."""
+    bench = ungraded(static_bench(p45(), seed=1, force_noise=0.0))
+    campaign = p45_shapes(bench.shapes[3:33], 0.0)
+    scale = bench.loads[1].added / bench.truth.added[1]
+    assert calibrate(campaign, "svd").alpha == pytest.approx(scale * bench.truth.alpha, rel=1e-7)
+
+
+def test_a_line_and_one_beside_it_are_a_conic_that_leaves_alpha_free():
+    """v = x is 0 on the line x = 0 and 1 on the lone one: v, x v and y v are x, x and x / 2."""
+    y = np.array([-1.0, 0.0, 1.0, 0.5])
+    x = np.array([0.0, 0.0, 0.0, 1.0])
+    a = np.array([np.ones(4), x, y])
+    assert geometry_fault(a).fault.startswith("the actuators stand on a conic")
+    assert geometry_fault(np.array([np.ones(14), LAYOUT.x, LAYOUT.y])) is None
