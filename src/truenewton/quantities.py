@@ -20,7 +20,7 @@ from truenewton.errors import FormatError
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
-MAX_NUMBER = 1e15  # of any number in SI units, stiff glass included: its square stays finite
+MAX_MAGNITUDE = 1e15  # of any number in SI units, stiff glass included: its square stays finite
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Quantity:
     """
 
     unit: str = ""
-    low: float = -MAX_NUMBER
-    high: float = MAX_NUMBER
+    low: float = -MAX_MAGNITUDE
+    high: float = MAX_MAGNITUDE
     why: str = ""
     fault: str = ""
 
@@ -65,8 +65,8 @@ class Quantity:
                 )
 
     def _remedy(self, number: float) -> str:
-        if number > self.high == MAX_NUMBER or number < self.low == -MAX_NUMBER:
-            return f"check its unit; numbers are in SI units, up to {MAX_NUMBER:g}"
+        if number > self.high == MAX_MAGNITUDE or number < self.low == -MAX_MAGNITUDE:
+            return f"check its unit; numbers are in SI units, up to {MAX_MAGNITUDE:g}"
         if self.why:
             turned = self.high <= 0.0 and self.low <= -number <= self.high
             return f"{self.why}: store {-number:g}" if turned else self.why

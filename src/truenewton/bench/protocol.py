@@ -9,9 +9,9 @@ from typing import ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.quantities import Quantity, convert_quantities
 from truenewton.errors import BenchFault
 from truenewton.files.content import YEARS
+from truenewton.quantities import Quantity, convert_quantities
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, Load
 

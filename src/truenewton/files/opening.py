@@ -193,8 +193,9 @@ def verify_checksums(stream: BufferedIOBase, hdu: Any) -> None:
         return
     at = hdu.fileinfo()
     of_data = _sum32(stream, at["datLoc"], at["datSpan"])
-    total = _folded(_sum32(stream, at["hdrLoc"], at["datLoc"] - at["hdrLoc"]) + of_data)
-    if (whole and total != 0xFFFFFFFF) or (wanted and str(of_data) != str(wanted).strip()):
+    of_header = _sum32(stream, at["hdrLoc"], at["datLoc"] - at["hdrLoc"])
+    total = (of_header + of_data) % 0xFFFFFFFF  # 0 stands for all ones, too
+    if (whole and total) or (wanted and str(of_data) != str(wanted).strip()):
         raise UnreadableFile(
             "a CHECKSUM or DATASUM does not match",
             remedy="the file was changed or damaged: fetch it again",
@@ -208,9 +209,4 @@ def _sum32(stream: BufferedIOBase, start: int, length: int) -> int:
     for some in blocks(length // 4, 4):  # of whole words
         words = np.frombuffer(stream.read(4 * (some.stop - some.start)), dtype=">u4")
         total += int(words.sum(dtype=np.uint64))
-    return _folded(total)
-
-
-def _folded(total: int) -> int:
-    """Return a sum in ones' complement of 32 bits: what overflows comes in again below."""
-    return (total - 1) % 0xFFFFFFFF + 1 if total else 0
+    return (total - 1) % 0xFFFFFFFF + 1 if total else 0  # what overflows comes in again below

@@ -10,11 +10,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.quantities import taking_units
 from truenewton.calibration.methods import asked, calibrate, calibration_of, estimate_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
-from truenewton.errors import NotToBeUsed
+from truenewton.errors import Fault, NotToBeUsed
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
@@ -30,11 +29,11 @@ from truenewton.modal.shape_products import MotionReader
 from truenewton.modal.static_force import static_force
 from truenewton.modal.true_stiffness import TrueStiffness, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
+from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
-from truenewton.errors import Fault
-from truenewton.rounding import html_table
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import html_table
 from truenewton.statics.modes import StiffnessModes
 
 MOST_COMPARED = 1000  # actuators; modes only to compare take as long, and as much memory, again

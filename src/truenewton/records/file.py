@@ -268,13 +268,7 @@ def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
 
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
-    """Return the stiffness matrix that a file holds.
-
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a stiffness file.
-    """
+    """Return the stiffness matrix that a file holds."""
     source = Source(file.path, file.sha256)
     return file.filled(StiffnessMatrix, file.values(STIFFNESS) | {"source": source})
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
-from truenewton.quantities import MAX_NUMBER, Quantity, convert_quantities
+from truenewton.quantities import MAX_MAGNITUDE, Quantity, convert_quantities
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
 
@@ -78,7 +78,7 @@ class StiffnessMatrix:
                 want=(n, n),
             )
         counted = self.used_stiffness
-        if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > MAX_NUMBER:
+        if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > MAX_MAGNITUDE:
             raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
         if not np.abs(counted).max(initial=0.0) > 1e-9:
             raise FormatError(

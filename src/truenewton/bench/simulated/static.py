@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.quantities import taking_units
 from truenewton.bench.simulated.electronics import (
     REFERENCE_TEMPERATURE,
     SAMPLES,
@@ -49,6 +48,7 @@ from truenewton.mirrors.shell.held_glass import (
     weight_on,
 )
 from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
+from truenewton.quantities import taking_units
 from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
 from truenewton.statics.modes import scaled_modes, stiffness_modes
