@@ -44,8 +44,8 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.estimation.findings.code import Code as Code
     from truenewton.estimation.findings.code import Level as Level
     from truenewton.estimation.findings.finding import Finding as Finding
-    from truenewton.foreign.export import export_supervisor as export_supervisor
-    from truenewton.foreign.importing import stiffness_from as stiffness_from
+    from truenewton.importers.importing import stiffness_from as stiffness_from
+    from truenewton.importers.supervisor import export_supervisor as export_supervisor
     from truenewton.mirrors.sensor_model import sensor_model as sensor_model
     from truenewton.modal.bases import karhunen_loeve_modes as karhunen_loeve_modes
     from truenewton.modal.bases import zernike_modes as zernike_modes
@@ -112,8 +112,8 @@ _NAMES = {
     "calibration.verdict": ["Verdict"],
     "estimation.findings.code": ["Code", "Level"],
     "estimation.findings.finding": ["Finding"],
-    "foreign.export": ["export_supervisor"],
-    "foreign.importing": ["stiffness_from"],
+    "importers.supervisor": ["export_supervisor"],
+    "importers.importing": ["stiffness_from"],
     "mirrors.sensor_model": ["sensor_model"],
     "modal.bases": ["karhunen_loeve_modes", "zernike_modes"],
     "modal.modal_base": ["Budget"],

@@ -6,7 +6,9 @@ programs need not parse the sentence that people read.
 
 from __future__ import annotations
 
-from typing import Any, Self
+import contextlib
+from collections.abc import Iterator
+from typing import Any, NamedTuple, Self
 
 
 def printable(text: str) -> str:
@@ -58,6 +60,16 @@ class TrueNewtonError(Exception):
     def changed(self, **parts: Any) -> Self:
         """Return the same error, but for some of fault, remedy, path, got and want."""
         return type(self)(**{**vars(self), **parts})
+
+
+class Fault(NamedTuple):
+    """What is wrong with data or a result, and what mends it: clauses without a full stop.
+
+    The remedy is empty where there is nothing to be done.
+    """
+
+    fault: str
+    remedy: str
 
 
 class UnreadableFile(TrueNewtonError, OSError):
@@ -131,3 +143,14 @@ class Interrupted(TrueNewtonError):
 def located(error: TrueNewtonError, path: object) -> TrueNewtonError:
     """Return the same error, naming the file it came from."""
     return error if error.path is not None else error.changed(path=path)
+
+
+@contextlib.contextmanager
+def naming(path: object) -> Iterator[None]:
+    """Let the errors of a block name the file that they are about, unless they name another."""
+    try:
+        yield
+    except TrueNewtonError as error:
+        if error.path is not None or path is None:
+            raise
+        raise error.changed(path=path) from error.__cause__

@@ -14,11 +14,10 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import InSegments
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client, each
-from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.errors import Fault, FormatError, TrueNewtonError, located
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.records.file import fits_paths, read_file, stiffness_from
-from truenewton.records.opened import open_by_worker, open_file
+from truenewton.records.reader import open_by_worker, open_file
 from truenewton.records.segmented import SegmentedData, in_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 

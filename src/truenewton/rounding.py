@@ -1,9 +1,12 @@
-"""Numbers as people read them: rounded with their errors, counted and listed."""
+"""Numbers as people read them: rounded with their errors, counted, listed, in tables."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence, Sized
+from html import escape
+
+CELL = '<td style="text-align: left; white-space: pre-wrap; font-family: monospace">'
 
 
 def with_error(value: float, error: float) -> str:
@@ -91,3 +94,13 @@ def numbered(noun: str, numbers: Sequence[int]) -> str:
 def named(noun: str, names: Sequence[object], most: int) -> str:
     """Return a noun with the names of those that are meant, as 'actuators 3, 5 and 8'."""
     return f"{noun if len(names) == 1 else f'{noun}s'} {listed(names, most)}"
+
+
+def html_table(title: str, rows: Iterable[Sequence[str]], remarks: Iterable[str] = ()) -> str:
+    """Return a title, rows of cells and remarks below them as HTML, everything escaped.
+
+    Names and warnings come from files: whatever stands in them is text.
+    """
+    cells = (f"<tr>{''.join(f'{CELL}{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    below = "".join(f"<div>{escape(remark)}</div>" for remark in remarks)
+    return f"<div><b>{escape(title)}</b><table>{''.join(cells)}</table>{below}</div>"

@@ -16,6 +16,7 @@ from truenewton.calibration.verdict import REGARDLESS, Level
 from truenewton.calibration.workers import side_by_side
 from truenewton.errors import (
     CampaignMismatch,
+    Fault,
     FormatError,
     RankDeficient,
     TrueNewtonWarning,
@@ -28,7 +29,6 @@ from truenewton.modal.segments import modes_of_segments
 from truenewton.modal.turbulence import pupil_of
 from truenewton.progress import telling
 from truenewton.reading import read_one
-from truenewton.records.fault import Fault
 from truenewton.records.file import write_campaign
 from truenewton.records.segmented import segment_couplings
 from truenewton.report.verdict import headline_of

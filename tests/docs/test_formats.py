@@ -11,7 +11,7 @@ from truenewton.calibration.segment_file import SEGMENTED
 from truenewton.estimation.findings import thresholds
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
-from truenewton.records.formats import CYCLE, SEGMENTS, STIFFNESS
+from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
 from truenewton.tracking.file import SEGMENTED_TRACKING, TRACKING
 
 DOCS = Path(__file__).parents[2] / "docs" / "files.md"

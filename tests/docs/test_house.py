@@ -14,7 +14,8 @@ sys.path.insert(0, str(ROOT / "docs"))
 import house  # noqa: E402
 
 PACKAGES = sorted(path.parent for path in house.SOURCE.rglob("__init__.py"))
-LOOSE = {"arrays", "chance", "cluster", "errors", "linalg", "progress", "reading", "rounding"}
+LOOSE = {"arrays", "chance", "cluster", "errors", "linalg", "progress", "quantities", "reading",
+         "rounding"}  # fmt: skip
 # A shape such as (n,), (N, 3), (..., 3), or a unit in brackets.
 SHAPE_OR_UNIT = re.compile(r"\((?!paper)[\w .+*/-]+(?:,[\w .+*/-]*)+\)|\[[^\]\n]+\]")
 

@@ -21,7 +21,7 @@ from truenewton.errors import (
 from truenewton.figures.style import plain
 from truenewton.files import opening
 from truenewton.files.fits import read_fits
-from truenewton.files.sizes import BLOCK, CARD, check_sizes
+from truenewton.files.opening import BLOCK, CARD, check_sizes
 from truenewton.files.toml import read_toml
 from truenewton.linalg import inverse_of_positive
 from truenewton.mirrors.file import layout_in
@@ -80,7 +80,7 @@ def test_what_is_no_file_is_not_waited_for(tmp_path, make, said):
 
 
 def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(opening, "MOST_UNPACKED", 2**20)
+    monkeypatch.setattr(opening, "MAX_UNPACKED_BYTES", 2**20)
     path = tmp_path / "x.fits.gz"
     path.write_bytes(gzip.compress(START + bytes(2**23)))
     with pytest.raises(UnreadableFile, match="unpacks to more than"):
@@ -98,11 +98,11 @@ def test_tiles_that_unpack_to_too_much_are_refused(tmp_path):
     path = tmp_path / "x.fits"
     path.write_bytes(START + tiles)
     with path.open("rb") as file, pytest.raises(UnreadableFile, match="unpacks to more than"):
-        check_sizes(file, str(path))
+        check_sizes(file)
 
 
 def test_a_text_file_that_is_too_long_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(opening, "MOST_TEXT", 100)
+    monkeypatch.setattr(opening, "MAX_TEXT_BYTES", 100)
     (tmp_path / "plan.toml").write_text("#" * 101)
     with pytest.raises(UnreadableFile, match="is longer than"):
         read_toml(tmp_path / "plan.toml")

@@ -64,8 +64,8 @@ import 14 --unit:text --lengths:text --curvature:number --arc:flag --mirror:text
     f/ff.npz | f/ff.npz
     f/ff.mat --curvature 1.955 | f/ff.mat
     f/ff.h5 | f/ff.h5
-    f/ff.csv f/xy.yml -o out.fits | f/ff.csv f/xy.yml
-    f/ff.yaml f/xy.fits | f/ff.yaml f/xy.fits
+    f/ff.csv f/xy.txt -o out.fits | f/ff.csv f/xy.txt
+    f/ff.npy f/xy.fits | f/ff.npy f/xy.fits
     f/ff.fits f/xy.csv --ids f/xy.txt | f/ff.fits f/xy.csv f/xy.txt
     stiffness.fits actuators.csv | stiffness.fits actuators.csv
     s -o out.fits | s/*

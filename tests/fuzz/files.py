@@ -150,7 +150,7 @@ def spoil(pick: random.Random, path: Path) -> str:
         way = pick.choices((toml, bytes_of), (95, 5))[0]
     elif suffixes.endswith((".npy", ".npz", ".mat", ".h5")):
         way = pick.choices((arrays, bytes_of), (80, 20))[0]
-    elif suffixes.endswith((".csv", ".ecsv", ".txt", ".pem", ".log", ".yaml", ".yml")):
+    elif suffixes.endswith((".csv", ".ecsv", ".txt", ".pem", ".log")):
         way = pick.choices((text, bytes_of), (85, 15))[0]
     else:
         way = bytes_of

@@ -30,12 +30,9 @@ def make_foreign(at: Path) -> None:
     write_arrays(f / "ff.h5", {"ffwd": k, "coords": np.stack([x, y]).T})
     fits.PrimaryHDU(k).writeto(f / "ff.fits")
     np.savetxt(f / "ff.csv", k, delimiter=",", header=",".join(map(str, ids)), comments="")
-    (f / "ff.yaml").write_text(f"stiffness: {k.tolist()}\n".replace("], [", "],\n  ["))
     rows = list(zip(ids.tolist(), x.round(3).tolist(), y.round(3).tolist(), strict=True))
     (f / "xy.csv").write_text("ID;X [mm];Y [mm]\n" + "".join(f"{i};{a};{b}\n" for i, a, b in rows))
     (f / "xy.txt").write_text("# x y\n" + "".join(f"{a} {b}\n" for _, a, b in rows))
-    lines = (f"  - {{id: {i}, x: {a}, y: {b}}}\n" for i, a, b in rows)
-    (f / "xy.yml").write_text("actuators:\n" + "".join(lines))
     Table({"X": x, "Y": y}).write(f / "xy.fits")
     for name in ("s", "o"):
         (at / name).mkdir()

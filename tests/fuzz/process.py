@@ -19,7 +19,7 @@ from truenewton.cli.main import main
 SECONDS, WALL, MEMORY = 25, 75, 4 * 2**30
 LATE = (
     "asyncua", "bokeh.embed", "bokeh.resources", "h5py", "matplotlib.backends.backend_agg",
-    "matplotlib.backends.backend_pdf", "matplotlib.backends.backend_svg", "scipy.io", "yaml",
+    "matplotlib.backends.backend_pdf", "matplotlib.backends.backend_svg", "scipy.io",
 )  # fmt: skip
 STOPPED_AFTER = 4  # seconds, by SIGTERM: a server
 

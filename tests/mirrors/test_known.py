@@ -100,6 +100,7 @@ def test_a_table_with_units_and_names(mine):
     [
         ('name = "MINE"', "name = 3", FormatError, "name is 3; give text"),
         ("weight = -1.0", "weight = 1.0", FormatError, "weight is 1; weights are negative"),
+        ("weight = -1.0", "weight = -1e16", FormatError, "check its unit; numbers are in SI"),
         ("weight = -1.0", "weigth = -1.0", FormatError, "knows no 'weigth'; did you mean"),
         ("weight = -1.0", "weight = -0.1", GeometryError, "weight is -0.1 N, but glass of 1.6 mm"),
         ("weight = -1.0", "weight = -10", GeometryError, "6 magnets of 2.75 g weigh -1.36 N; corr"),

@@ -10,8 +10,7 @@ from astropy.io import fits
 
 import truenewton as tn
 from helpers.segmented import in_one, pieces
-from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.records.fault import Fault
+from truenewton.errors import CampaignMismatch, Fault, FormatError, RankDeficient, UnknownName
 from truenewton.records.file import write_campaign
 from truenewton.tracking.figures import figures_of_segments, tracking_figures
 

@@ -6,31 +6,35 @@ import importlib.resources
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
-
-from truenewton.arrays import in_units
 from truenewton.bench.protocol import BENCH_KINDS, MAX_SAMPLES, BenchChoice, foreign_keys
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from, segment_from, whole_mirror_from
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
+from truenewton.quantities import Quantity, check_quantities, convert_quantities
 from truenewton.records.file import SUFFIXES, cycle_name
 from truenewton.rounding import numbered
 from truenewton.statics.layout import MAX_ACTUATORS, Layout
 from truenewton.statics.load import Load, check_load
 
-POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "limits.displacement",
-            "limits.saturation")  # fmt: skip
-NOT_NEGATIVE = ("settling", "pause", "limits.gap", "shapes.count", "bench.seed",
-                "bench.force_noise", "drift.alpha", "drift.zero", "drift.remounting",
-                "sensors.noise", "sensors.gain", "sensors.offset")  # fmt: skip
 MAX_CYCLES, MAX_TURNS = 999, 3
 MIN_POSITIVE, MAX_NUMBER = 1e-12, 1e9  # of any number of a plan: squares of both stay numbers
+
+
+def _positive(unit: str) -> Quantity:
+    return Quantity(unit, MIN_POSITIVE, MAX_NUMBER)
+
+
+def _not_negative(unit: str) -> Quantity:
+    return Quantity(unit, 0.0, MAX_NUMBER)
+
+
+def _count(low: int, high: int) -> Quantity:
+    return Quantity("", low, high, f"give {low} to {high}")
 
 
 @dataclass(frozen=True)
@@ -56,13 +60,17 @@ class PlannedShapes:
     PlannedShapes(source='modes', count=20, stroke=5e-07, force=0.3)
     """
 
+    QUANTITIES: ClassVar = {
+        "count": _not_negative(""), "stroke": _positive("m"), "force": _positive("N"),
+    }  # fmt: skip
+
     source: str = "modes"
     count: int = 0
     stroke: float = 1e-6
     force: float = 0.3
 
     def __post_init__(self) -> None:
-        in_units(self, {"stroke": "m", "force": "N"})
+        convert_quantities(self)
 
 
 @dataclass(frozen=True)
@@ -89,6 +97,11 @@ class MirrorLimits:
     0.8
     """
 
+    QUANTITIES: ClassVar = {
+        "force": _positive("N"), "saturation": _positive("N"), "displacement": _positive("m"),
+        "gap": _not_negative("m"), "temperature": Quantity("deg_C", -MAX_NUMBER, MAX_NUMBER),
+    }  # fmt: skip
+
     force: float = 0.6
     saturation: float = 0.8
     displacement: float = 5e-6
@@ -96,8 +109,7 @@ class MirrorLimits:
     temperature: tuple[float, float] = (-10.0, 40.0)
 
     def __post_init__(self) -> None:
-        in_units(self, {"force": "N", "saturation": "N", "displacement": "m", "gap": "m",
-                        "temperature": "deg_C"})  # fmt: skip
+        convert_quantities(self)
 
 
 @dataclass(frozen=True)
@@ -119,12 +131,16 @@ class AssumedDrift:
     AssumedDrift(alpha=0.001, zero=1e-05, remounting=1e-05)
     """
 
+    QUANTITIES: ClassVar = {
+        "alpha": _not_negative(""), "zero": _not_negative("N"), "remounting": _not_negative("N"),
+    }  # fmt: skip
+
     alpha: float = 3e-3
     zero: float = 1e-5
     remounting: float = 1e-5
 
     def __post_init__(self) -> None:
-        in_units(self, {"alpha": "", "zero": "N", "remounting": "N"})
+        convert_quantities(self)
 
 
 @dataclass(frozen=True)
@@ -141,9 +157,16 @@ class AssumedSensors:
         Of how far the sensors sit off their magnets along an axis [m]; 0 where they do not.
     """
 
+    QUANTITIES: ClassVar = {
+        "noise": _not_negative("m"), "gain": _not_negative(""), "offset": _not_negative("m"),
+    }  # fmt: skip
+
     noise: float = 6.6e-11
     gain: float = 4e-3
     offset: float = 5e-4
+
+    def __post_init__(self) -> None:
+        convert_quantities(self)
 
 
 @dataclass(frozen=True)
@@ -187,6 +210,12 @@ class CampaignPlan:
     0.6
     """
 
+    QUANTITIES: ClassVar = {
+        "cycles": _count(1, MAX_CYCLES), "samples": _count(1, MAX_SAMPLES),
+        "turns": _count(0, MAX_TURNS), "segment": _count(0, MAX_ACTUATORS),
+        "settling": _not_negative("s"), "pause": _not_negative("s"), "force_noise": _positive("N"),
+    }  # fmt: skip
+
     mirror: str
     loads: tuple[Load, ...]
     cycles: int = 4
@@ -203,23 +232,12 @@ class CampaignPlan:
     segment: int = 0
 
     def __post_init__(self) -> None:
-        in_units(self, {"settling": "s", "pause": "s", "force_noise": "N"})
-        for name, low, high in (
-            ("cycles", 1, MAX_CYCLES), ("samples", 1, MAX_SAMPLES), ("turns", 0, MAX_TURNS),
-            ("segment", 0, MAX_ACTUATORS),
-        ):  # fmt: skip
-            if not low <= getattr(self, name) <= high:
-                raise _wrong(name, getattr(self, name), f"give {low} to {high}")
+        convert_quantities(self)
+        check_quantities(self)
         if self.turns > self.cycles:
             raise _wrong("turns", self.turns, "give no more turns than cycles, or 0 for what pays")
         shapes, limits, bench = self.shapes, self.limits, self.bench
-        for name in (*POSITIVE, *NOT_NEGATIVE):
-            value = attrgetter(name)(self)
-            least = MIN_POSITIVE if name in POSITIVE else 0.0
-            if not least <= value <= (np.inf if name == "bench.seed" else MAX_NUMBER):
-                what = f"a positive number, {MIN_POSITIVE:g}" if least else "zero or more,"
-                raise _wrong(name, value, f"give {what} to {MAX_NUMBER:g}")
-        if not -MAX_NUMBER <= limits.temperature[0] < limits.temperature[1] <= MAX_NUMBER:
+        if not limits.temperature[0] < limits.temperature[1]:
             raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
         if bench.kind not in BENCH_KINDS:
             raise _wrong("bench.kind", bench.kind, f"choose {', '.join(BENCH_KINDS)}")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import datetime
 from dataclasses import dataclass, fields
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from truenewton.arrays import Array, in_units
+from truenewton.arrays import Array
 from truenewton.errors import BenchFault
 from truenewton.files.content import YEARS
+from truenewton.quantities import Quantity, convert_quantities
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, Load
 
@@ -273,6 +274,11 @@ class BenchChoice:
         With which to log on to an OPC UA server.
     """
 
+    QUANTITIES: ClassVar = {
+        "seed": Quantity("", 0, np.inf, "give zero or more"),
+        "force_noise": Quantity("N", 0.0, 1e9),
+    }
+
     kind: str = "simulated"
     address: str = ""
     seed: int = 1
@@ -285,7 +291,7 @@ class BenchChoice:
     server_certificate: str = ""
 
     def __post_init__(self) -> None:
-        in_units(self, {"force_noise": "N"})
+        convert_quantities(self)
 
 
 def foreign_keys(choice: BenchChoice) -> list[str]:

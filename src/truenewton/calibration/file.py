@@ -24,7 +24,7 @@ from truenewton.estimation.matrix.facts import Symmetry
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
-from truenewton.records.formats import ID, INSTRUMENT, NZ, SOURCES, X, Y
+from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
 
 ACTUATORS = TableFormat(
     "CALIBRATION",

@@ -19,7 +19,14 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import Seen, calibrate_segments
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
-from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
+from truenewton.errors import (
+    Fault,
+    NotConverged,
+    RankDeficient,
+    TrueNewtonError,
+    UnknownName,
+    located,
+)
 from truenewton.estimation import campaign_ml
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Estimate, with_warnings
@@ -45,7 +52,6 @@ from truenewton.estimation.screening.screen import (
 from truenewton.linalg import threads
 from truenewton.progress import kept_as, tell, telling
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix

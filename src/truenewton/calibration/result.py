@@ -25,9 +25,8 @@ from truenewton.estimation.matrix.facts import Symmetry
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.format import quantities
-from truenewton.records.notebook import html_table
 from truenewton.records.source import Source
-from truenewton.rounding import counted
+from truenewton.rounding import counted, html_table
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load, check_load
 

@@ -14,12 +14,11 @@ import numpy as np
 from truenewton.calibration.file import CALIBRATION, calibration_from
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.errors import Fault, FormatError, TrueNewtonError, located
 from truenewton.estimation.findings.code import Level
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat
-from truenewton.records.fault import Fault
-from truenewton.records.formats import ENABLED, ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.file import ENABLED, ID, INSTRUMENT, NZ, X, Y
 from truenewton.records.of_segments import OfSegments
 from truenewton.statics.layout import Layout
 

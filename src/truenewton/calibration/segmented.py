@@ -11,12 +11,11 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
+from truenewton.errors import Fault
 from truenewton.files.format import quantities
-from truenewton.records.fault import Fault
-from truenewton.records.notebook import html_table
 from truenewton.records.of_segments import OfSegments
 from truenewton.records.source import Source
-from truenewton.rounding import counted
+from truenewton.rounding import counted, html_table
 
 if TYPE_CHECKING:
     from astropy.table import QTable

@@ -16,13 +16,12 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.calibration.workers import processors, side_by_side
-from truenewton.errors import RankDeficient, TrueNewtonError, UnreadableFile
+from truenewton.errors import Fault, RankDeficient, TrueNewtonError, UnreadableFile
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.estimation.findings.finding import Finding
 from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData, segment_couplings
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout

@@ -19,6 +19,7 @@ from truenewton.calibration.segments import Seen, seen_of
 from truenewton.calibration.verdict import Verdict, no_alpha
 from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
 from truenewton.errors import (
+    Fault,
     FormatError,
     GeometryError,
     NotConverged,
@@ -32,7 +33,6 @@ from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, with_error

@@ -20,14 +20,13 @@ from truenewton.calibration.scale_faults import (
     unit_fault,
     weights_along_axis,
 )
-from truenewton.errors import NotToBeUsed, TrueNewtonWarning
+from truenewton.errors import Fault, NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.findings.code import Code, Concern, Level
 from truenewton.estimation.findings.estimate import RejectedRow, Scale
 from truenewton.estimation.findings.finding import Finding, distinct
 from truenewton.estimation.findings.scale_budget import typical
 from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.paper.identifiability import similar_loads
-from truenewton.records.fault import Fault
 from truenewton.rounding import with_error
 
 if TYPE_CHECKING:

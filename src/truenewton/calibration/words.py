@@ -11,13 +11,13 @@ import numpy as np
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.scale_faults import NO_ERROR, scale_limit
 from truenewton.calibration.verdict import Verdict, rejected_sentence
+from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import NoiseSource, RejectedRow, Scale
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.findings.scale_budget import scale_budget, typical
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent, significant, to_digits, with_error
 
 MEANINGS = {

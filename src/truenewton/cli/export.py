@@ -23,7 +23,7 @@ def run(
     """Write a supervisor's feed-forward files anew, forces in true Newtons."""
     from truenewton.cli.terminal import busy, print_result
     from truenewton.files.outputs import refuse_existing
-    from truenewton.foreign.export import export_supervisor
+    from truenewton.importers.supervisor import export_supervisor
     from truenewton.reading import read_calibration
 
     refuse_existing(output, overwrite=overwrite)

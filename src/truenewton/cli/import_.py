@@ -12,12 +12,12 @@ from truenewton.cli import options
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
-    from truenewton.foreign.importing import Imported
+    from truenewton.importers.importing import Imported
 
 
 def run(
     matrix: Path = typer.Argument(
-        ..., metavar="MATRIX", help="FITS, .npy, CSV or text, HDF5, YAML, .mat, .sav; or a folder."
+        ..., metavar="MATRIX", help="FITS, .npy, CSV or text, HDF5, .mat, .sav; or a folder."
     ),
     coordinates: Path | None = typer.Argument(
         None, metavar="POSITIONS", help="Likewise; or a folder of a supervisor's configuration."
@@ -50,7 +50,7 @@ def run(
     from truenewton.cli.terminal import busy, print_result
     from truenewton.estimation.findings.code import Level
     from truenewton.files.outputs import refuse_existing
-    from truenewton.foreign.importing import stiffness_from
+    from truenewton.importers.importing import stiffness_from
     from truenewton.mirrors.file import mirror_from
     from truenewton.records.file import SUFFIXES, write_stiffness
 

@@ -125,11 +125,10 @@ def _lines_of_part(whole: SegmentedMirror, part: Mirror, alike: list[int]) -> li
 
 def _lines_of(mirror: Mirror) -> list[str]:
     """Return what is known of a mirror in one piece, each with its unit."""
-    from truenewton.mirrors.glass import SHELL_UNITS
-    from truenewton.mirrors.known import MIRROR_UNITS
     from truenewton.rounding import counted
 
-    units, sensor = {**SHELL_UNITS, **MIRROR_UNITS}, mirror.sensor
+    quantities, sensor = {**mirror.shell.QUANTITIES, **mirror.QUANTITIES}, mirror.sensor
+    units = {name: quantity.unit for name, quantity in quantities.items()}
     said = {"sensor": f"{sensor.inner_radius:g} to {sensor.outer_radius:g} m from its actuator"}
     if mirror.tool_radius is None:
         said["tool_radius"] = "not given"

@@ -118,8 +118,8 @@ def _usable(path: Path | None, segment: int | None, force: bool) -> Calibration 
 def _usable_segments(path: Path | None, force: bool) -> SegmentedCalibration | None:
     """Return the same of all segments; each without alpha to be used says of which file."""
     from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
+    from truenewton.errors import Fault
     from truenewton.reading import read_segmented
-    from truenewton.records.fault import Fault
 
     if path is None:
         return None

@@ -14,7 +14,7 @@ import astropy.units as u
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.errors import FormatError, TrueNewtonError, naming
 from truenewton.files.format import REQUIRED, STORED, Column, FileFormat, Keyword, TableFormat
 from truenewton.files.stored_rows import StoredRows
 from truenewton.linalg import covariance_fault
@@ -75,26 +75,14 @@ class FitsFile:
 
     def filled(self, kind: type[Record], values: dict[str, Any]) -> Record:
         """Return a record filled from `values`; what it refuses names the file."""
-        try:
+        with naming(self.path):
             made: Record = _filled(kind, values)
-        except TrueNewtonError as error:
-            raise located(error, self.path) from None
         return made
 
     def values(self, form: FileFormat, largest: float = math.inf) -> dict[str, Any]:
-        """Return what the file holds by attribute: a dictionary for each record inside.
+        """Return what is declared of the file by attribute: a dictionary for each record inside.
 
-        Parameters
-        ----------
-        form
-            What is declared; nothing else is read.
-        largest
-            Beyond what magnitude a number is refused, so that squares of it are numbers.
-
-        Raises
-        ------
-        FormatError
-            The file breaks its contract.
+        Numbers of a magnitude beyond ``largest`` are refused, so that their squares are numbers.
         """
         values: dict[str, Any] = {}
 
@@ -211,13 +199,7 @@ class FitsFile:
         return date.astimezone(datetime.UTC)
 
     def pixels(self, name: str, unit: str | None = None) -> NDArray[np.float64]:
-        """Return the (rows, columns) pixels of an image in numpy order, converted to ``unit``.
-
-        Raises
-        ------
-        FormatError
-            It is missing, is not numeric, or its unit is absent or foreign.
-        """
+        """Return the (rows, columns) pixels of an image in numpy order, converted to ``unit``."""
         data, has_unit = self._extension(name, Image)
         if data.dtype.kind not in "fiu":
             self._refuse(f"{name} is not numeric", "store D")
@@ -237,13 +219,7 @@ class FitsFile:
                 )
 
     def enabled(self, alpha: NDArray[Any], remedy: str) -> NDArray[np.bool_]:
-        """Return which actuators take part: those with an (n,) alpha.
-
-        Raises
-        ------
-        FormatError
-            None has one.
-        """
+        """Return which actuators take part: those with an (n,) alpha."""
         some = np.asarray(np.isfinite(alpha))
         if not some.any():
             raise FormatError("ALPHA holds no number", remedy=remedy, path=self.path)

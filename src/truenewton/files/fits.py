@@ -21,8 +21,7 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
-from truenewton.files.checksums import verify_checksums
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located, naming
 from truenewton.files.content import PRIMARY, FitsFile, Image, Table
 from truenewton.files.format import (
     Attribute,
@@ -33,42 +32,38 @@ from truenewton.files.format import (
     header_of,
     value_of,
 )
-from truenewton.files.opening import GZIP, open_plain, unpacked
+from truenewton.files.opening import (
+    BLOCK,
+    GZIP,
+    check_sizes,
+    open_plain,
+    unpacked,
+    verify_checksums,
+)
 from truenewton.files.outputs import file_beside
-from truenewton.files.sizes import BLOCK, check_sizes
-from truenewton.files.stored_rows import StoredRows, state_of
-from truenewton.files.stored_tables import long_rows, without_columns
+from truenewton.files.stored_rows import StoredRows, long_rows, state_of, without_columns
 
 START = b"SIMPLE"
 
 
 def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS file, plain or gzipped.
+    """Read a FITS file; if not whole, vector columns are left in it, unless it is gzipped."""
+    with naming(path):
+        return _read(os.fspath(path), whole=whole)
 
-    Parameters
-    ----------
-    path
-        The file.
-    whole
-        If false, vector columns of tables are left in the file, unless it is gzipped.
 
-    Raises
-    ------
-    UnreadableFile
-        It cannot be opened, is not FITS, is truncated, or a checksum does not match.
-    """
-    path = os.fspath(path)
+def _read(path: str, *, whole: bool) -> FitsFile:
     with open_plain(path) as file:
         packed = file.peek(2)[:2] == GZIP
         if not packed:  # before all of it is read
-            _check_start(file, path)
+            _check_start(file)
         state = None if whole or packed else state_of(file)
         raw = file.read() if state is None else b""
         digest = hashlib.sha256(raw) if raw else hashlib.file_digest(file, "sha256")
     try:
         if packed:
-            raw = unpacked(raw, path)
-            _check_start(io.BytesIO(raw), path)
+            raw = unpacked(raw)
+            _check_start(io.BytesIO(raw))
         with (
             io.BytesIO(raw) if state is None else open_plain(path) as stream,
             warnings.catch_warnings(record=True) as caught,
@@ -76,10 +71,10 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
             warnings.simplefilter("always")
             with fits.open(stream, memmap=False) as hdus:
                 hdus.readall()
-                _refuse_damage(caught, path)
+                _refuse_damage(caught)
                 for hdu in hdus:
-                    verify_checksums(stream, hdu, path)
-                _refuse_doubles(hdus[0].header.keys(), "keywords", path)
+                    verify_checksums(stream, hdu)
+                _refuse_doubles(hdus[0].header.keys(), "keywords")
                 plain = _plain(hdus[0].header)
                 extensions, versions = _extensions(hdus, path, stream, state)
                 return FitsFile(path, digest.hexdigest(), plain, extensions, versions)
@@ -87,12 +82,10 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         raise
     except Exception as error:
         # A damaged file can raise nearly anything inside a FITS reader; this is the boundary.
-        raise UnreadableFile(
-            "is damaged or truncated", remedy="fetch it again", path=path
-        ) from error
+        raise UnreadableFile("is damaged or truncated", remedy="fetch it again") from error
 
 
-def _check_start(stream: io.BytesIO | BufferedReader, path: str) -> None:
+def _check_start(stream: io.BytesIO | BufferedReader) -> None:
     """Refuse what does not begin as FITS, or declares what is not there; go back to the start."""
     start = stream.read(len(START))
     if start != START:
@@ -102,18 +95,17 @@ def _check_start(stream: io.BytesIO | BufferedReader, path: str) -> None:
             " campaign in your own format' of docs/files.md those of a campaign"
             if start
             else "fetch it again",
-            path=path,
         )
-    check_sizes(stream, path)
+    check_sizes(stream)
 
 
-def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
+def _refuse_damage(caught: list[warnings.WarningMessage]) -> None:
     """Refuse a file of which astropy only warns that its length is wrong."""
     warned = " ".join(str(warning.message) for warning in caught)
     faults = {"truncated": "is truncated", "corrupted": "is damaged, or bytes follow its end"}
     for word, fault in faults.items():
         if word in warned:
-            raise UnreadableFile(fault, remedy="fetch it again", path=path)
+            raise UnreadableFile(fault, remedy="fetch it again")
 
 
 def _plain(header: Any) -> dict[str, Any]:
@@ -156,28 +148,28 @@ def _held(
 ) -> Table | Image | TrueNewtonError | None:
     """Return what an extension holds, or what is wrong with it; None of what is no concern."""
     try:
-        _refuse_doubles(hdu.header.keys(), "keywords", path)
+        _refuse_doubles(hdu.header.keys(), "keywords")
         if isinstance(hdu, fits.BinTableHDU):
             return _table(hdu, path, stream, state)
         if isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
             return Image(_native(hdu.data), str(hdu.header.get("BUNIT", "")))
     except TrueNewtonError as error:
-        return error
+        return located(error, path)
     except Exception:
         return UnreadableFile(f"{name} is damaged", remedy="fetch the file again", path=path)
     return None
 
 
-def _refuse_doubles(names: Iterable[str], what: str, path: str) -> None:
+def _refuse_doubles(names: Iterable[str], what: str) -> None:
     """Refuse a name that stands twice: which one counts is anybody's guess."""
     for name, count in Counter(names).items():
         if count > 1 and name not in ("", "COMMENT", "HISTORY"):
-            raise FormatError(f"there are two {what} {name}", remedy="keep one", path=path)
+            raise FormatError(f"there are two {what} {name}", remedy="keep one")
 
 
 def _table(hdu: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] | None) -> Table:
     """Copy a table; where its file has a ``state``, long rows stay in it."""
-    _refuse_doubles([str(key).upper() for key in hdu.columns.names], "columns", path)
+    _refuse_doubles([str(key).upper() for key in hdu.columns.names], "columns")
     left: dict[str, StoredRows] = {}
     if state:
         left = long_rows(hdu, path, state)
@@ -207,23 +199,10 @@ def write_fits(
     of_version: FileFormat | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a record in a format, with checksums, beside its target and then renamed.
+    """Write a record in a format, with checksums; gzipped if the name of the file ends in .gz.
 
-    Parameters
-    ----------
-    path
-        The target; gzipped where it ends in .gz.
-    form, record
-        What holds the attributes that the format names.
-    versions, of_version
-        More records, each by its EXTVER, all in one format; their keywords stand in the header of
-        their first extension.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    FormatError
-        A keyword holds what no FITS header can.
+    ``versions`` are more records by their EXTVER, all in the format ``of_version``; their keywords
+    are in the header of their first extension.
     """
     hdus = _hdus(record, form, versions or {}, of_version or form, path)
     with file_beside(path, overwrite=overwrite) as temporary, temporary.open("wb") as file:

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, UnreadableFile
+from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, UnreadableFile, naming
 from truenewton.files.content import FitsFile, Image, Table
 from truenewton.files.format import FileFormat, TableFormat, columns_of, header_of, value_of
-from truenewton.files.opening import MOST_UNPACKED, open_plain
+from truenewton.files.opening import MAX_UNPACKED_BYTES, open_plain
 from truenewton.files.outputs import file_beside
 from truenewton.files.stored_rows import StoredRows, runs, state_of
 
@@ -62,7 +62,8 @@ class Hdf5Rows(StoredRows):
         return values
 
 
-def _h5py(path: object) -> Any:
+def import_h5py(path: object) -> Any:
+    """Return the module, which is an extra."""
     try:
         return importlib.import_module("h5py")
     except ModuleNotFoundError:
@@ -75,17 +76,11 @@ def _h5py(path: object) -> Any:
 
 def _open(path: str) -> Any:
     # Of a file system without locks, as clusters have, locking would be refused.
-    return _h5py(path).File(path, "r", locking="best-effort")
+    return import_h5py(path).File(path, "r", locking="best-effort")
 
 
 def is_hdf5(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a file is HDF5, by its name or its first bytes.
-
-    Raises
-    ------
-    UnreadableFile
-        It cannot be opened.
-    """
+    """Tell whether a file is HDF5, by its name or its first bytes."""
     if os.fspath(path).lower().endswith(SUFFIXES):
         return True
     with open_plain(path) as file:
@@ -93,34 +88,23 @@ def is_hdf5(path: str | os.PathLike[str]) -> bool:
 
 
 def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read an HDF5 file.
+    """Read an HDF5 file; if not whole, vector columns are left in it; those of SAMPLES always."""
+    with naming(path):
+        return _read(os.fspath(path), whole=whole)
 
-    Parameters
-    ----------
-    path
-        The file.
-    whole
-        If false, vector columns of tables are left in the file; those of SAMPLES always are.
 
-    Raises
-    ------
-    UnreadableFile
-        It cannot be opened, is not HDF5, is truncated or damaged, or h5py is missing.
-    FormatError
-        It takes data from other files.
-    """
-    path = os.fspath(path)
-    h5py = _h5py(path)
+def _read(path: str, *, whole: bool) -> FitsFile:
+    h5py = import_h5py(path)
     with open_plain(path) as file:
         if file.peek(len(MAGIC))[: len(MAGIC)] != MAGIC:
-            raise UnreadableFile("is not an HDF5 file", remedy="fetch it again", path=path)
+            raise UnreadableFile("is not an HDF5 file", remedy="fetch it again")
         state, digest = state_of(file), hashlib.file_digest(file, "sha256")
     try:
         with _open(path) as held:
             header = {str(k).upper(): _plain(v) for k, v in held.attrs.items()}
             extensions: dict[str, Table | Image | TrueNewtonError] = {}
             for name in held:
-                _refuse_links(h5py, held, name, path)
+                _refuse_links(h5py, held, name)
                 if isinstance(held[name], h5py.Group):
                     extensions[name.upper()] = _table(h5py, held[name], path, state, whole=whole)
                 elif held[name].ndim == 2:
@@ -129,13 +113,11 @@ def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         raise
     except Exception as error:
         # A damaged file can raise nearly anything inside its library; this is the boundary.
-        raise UnreadableFile(
-            "is damaged or truncated", remedy="fetch it again", path=path
-        ) from error
+        raise UnreadableFile("is damaged or truncated", remedy="fetch it again") from error
     return FitsFile(path, digest.hexdigest(), header, extensions)
 
 
-def _refuse_links(h5py: Any, group: Any, name: str, path: str) -> None:
+def _refuse_links(h5py: Any, group: Any, name: str) -> None:
     """Refuse what stands in another file: its checksum would say nothing of it."""
     away = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
     if not away and isinstance(group[name], h5py.Dataset):
@@ -144,7 +126,6 @@ def _refuse_links(h5py: Any, group: Any, name: str, path: str) -> None:
         raise FormatError(
             f"{group.name.strip('/')}/{name} stands in another file".lstrip("/"),
             remedy="write all of it into one file (h5repack)",
-            path=path,
         )
 
 
@@ -153,7 +134,7 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
     columns: dict[str, tuple[NDArray[Any] | StoredRows, str]] = {}
     table, rows = group.name.strip("/").upper(), None
     for name in group:
-        _refuse_links(h5py, group, name, path)
+        _refuse_links(h5py, group, name)
         dataset = group[name]
         if not isinstance(dataset, h5py.Dataset) or not dataset.ndim:
             continue
@@ -161,7 +142,6 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
             raise FormatError(
                 f"{name} of {table} has {len(dataset)} rows, other columns {rows}",
                 remedy="end the recording cleanly, or cut all columns to the shortest",
-                path=path,
             )
         rows = len(dataset)
         vectors = dataset.ndim == 2 and dataset.dtype.kind in "fiu"
@@ -180,11 +160,10 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
 
 def _array(dataset: Any, path: str) -> NDArray[Any]:
     """Read all of a dataset, in native byte order."""
-    if dataset.nbytes > max(MOST_UNPACKED, Path(path).stat().st_size):
+    if dataset.nbytes > max(MAX_UNPACKED_BYTES, Path(path).stat().st_size):
         raise UnreadableFile(
             f"{dataset.name.strip('/')} unpacks to {dataset.nbytes / 2**30:.0f} GB",
             remedy="fetch the file again",
-            path=path,
         )
     if dataset.dtype.kind in "OS":
         return np.array([_plain(text) for text in dataset[()].ravel()], dtype=np.str_)
@@ -208,21 +187,9 @@ def _plain(value: Any) -> Any:
 def write_hdf5(
     path: str | os.PathLike[str], form: FileFormat, record: Any, *, overwrite: bool = False
 ) -> None:
-    """Write a record in a format, chunked, each chunk with its checksum (Fletcher's).
-
-    Parameters
-    ----------
-    path
-        The target.
-    form, record
-        What holds the attributes that the format names.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
+    """Write a record in a format, chunked, each chunk with its checksum (Fletcher's)."""
     try:
-        h5py = _h5py(path)
+        h5py = import_h5py(path)
     except UnreadableFile as error:
         raise OutputFailed(error.fault, remedy=error.remedy, path=path) from None
     with (

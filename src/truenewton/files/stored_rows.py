@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from io import BufferedIOBase
 from pathlib import Path
@@ -16,7 +16,7 @@ from truenewton.arrays import Array
 from truenewton.errors import UnreadableFile
 
 BLOCK_BYTES = 2**24  # of the rows that are taken at once
-FAR = 4  # times a column's own width: where the next row is further, the rest is skipped, not read
+MAX_STRIDE = 4  # times a column's own width; beyond it the rest of a row is skipped, not read
 
 
 def blocks(rows: int, row_bytes: int) -> Iterator[slice]:
@@ -62,11 +62,6 @@ class StoredRows:
         (n,) which values of each stored vector are meant, in their order; None where all are.
     largest
         What `largest_in_rows` has found, by the bytes of its ``columns``: rows are read once.
-
-    Raises
-    ------
-    UnreadableFile
-        On use: the file is gone or not what it was.
     """
 
     path: str
@@ -121,10 +116,7 @@ class StoredRows:
     def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
         """Read the `span` of some rows of the open file, (rows, span), as they are stored.
 
-        Raises
-        ------
-        EOFError
-            The file has changed.
+        EOFError says that the file has changed.
         """
         first, end = self.span
         start = self.start + first * self.stored.itemsize
@@ -172,7 +164,7 @@ def read_rows(
     width: int,
     stored: np.dtype[Any],
 ) -> NDArray[Any]:
-    """Read (rows, width) values of a column, in native byte order.
+    """Read (rows, width) values of a column, in native byte order; EOFError if the file is shorter.
 
     Parameters
     ----------
@@ -184,17 +176,12 @@ def read_rows(
         (rows,) which ones; rows that follow each other are read together.
     width, stored
         Number of values in a row, and their type in the file.
-
-    Raises
-    ------
-    EOFError
-        The file ends before its rows do.
     """
     values = np.empty((len(at), width), dtype=stored.newbyteorder("="))
     size = width * stored.itemsize
     if not size:
         return values
-    together = 1 if stride > (FAR + 1) * size else max(1, BLOCK_BYTES // max(stride, 1))
+    together = 1 if stride > (MAX_STRIDE + 1) * size else max(1, BLOCK_BYTES // max(stride, 1))
     raw = bytearray(min(together, max(len(at), 1)) * stride + size)
     for run in runs(at):
         for row in range(run.start, run.stop, together):
@@ -207,3 +194,48 @@ def read_rows(
                 (rows, width), stored, buffer=raw, strides=(stride, stored.itemsize)
             )
     return values
+
+
+FITS_BLOCK = 2880  # bytes
+
+
+def long_rows(hdu: Any, path: str, state: tuple[int, int]) -> dict[str, StoredRows]:
+    """Return the columns of plain floating-point vectors of a binary table (astropy), by name."""
+    rows, stride, record = hdu.header["NAXIS2"], hdu.header["NAXIS1"], hdu.columns.dtype
+    if hdu.header.get("PCOUNT", 0) or record.itemsize != stride:
+        return {}
+    vectors = {}
+    for column in hdu.columns:
+        values, offset = record.fields[column.name][:2]
+        plain = column.bscale is None and column.bzero is None and column.dim is None
+        if plain and values.base.kind == "f" and values.shape and values.shape[0] > 1:
+            vectors[column.name] = StoredRows(
+                path,
+                state,
+                hdu.fileinfo()["datLoc"] + offset,
+                stride,
+                (rows, *values.shape),
+                values.base.newbyteorder(">"),
+            )
+    return vectors
+
+
+def without_columns(stream: BufferedIOBase, hdu: Any, left: Mapping[str, StoredRows]) -> Any:
+    """Return a table whose columns named in ``left`` have no values; only the others are read."""
+    if not left:
+        return hdu
+    rows, stride, start = hdu.header["NAXIS2"], hdu.header["NAXIS1"], hdu.fileinfo()["datLoc"]
+    header, others, end = hdu.header.copy(), [], 0
+    for number, column in enumerate(hdu.columns, 1):
+        if column.name in left:
+            header[f"TFORM{number}"] = f"0{column.format[-1]}"
+            others.append((end, left[column.name].start - start - end))
+            end = left[column.name].start - start + hdu.columns.dtype[column.name].itemsize
+    others.append((end, stride - end))
+    every, byte = np.arange(rows), np.dtype(np.uint8)
+    data = np.concatenate(
+        [read_rows(stream, start + at, stride, every, width, byte) for at, width in others], axis=1
+    )
+    header["NAXIS1"] = data.shape[1]
+    padding = bytes(-data.size % FITS_BLOCK)
+    return type(hdu).fromstring(header.tostring().encode() + data.tobytes() + padding)

@@ -12,7 +12,7 @@ from difflib import get_close_matches
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, naming
 from truenewton.files.opening import read_text
 from truenewton.rounding import counted
 
@@ -21,13 +21,7 @@ NAMES = {float: "a number", int: "an integer", str: "text", bool: "true or false
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the tables of a TOML file.
-
-    Raises
-    ------
-    UnreadableFile
-        It cannot be opened or is not TOML.
-    """
+    """Return the tables of a TOML file."""
     try:
         return tomllib.loads(read_text(path))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -36,47 +30,33 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         ) from error
 
 
-def filled(
-    kind: type[Filled],
-    table: Mapping[str, Any],
-    path: object,
-    where: str = "",
-    above: Sequence[str] = (),
-) -> Filled:
-    """Return a dataclass filled from a table, its values held against their types.
+def filled(kind: type[Filled], table: Mapping[str, Any], path: object) -> Filled:
+    """Return a dataclass filled from a table of a file, its values held against their types.
 
-    Parameters
-    ----------
-    kind
-        A dataclass of numbers, texts, pairs of numbers, other such dataclasses, and tuples of them.
-    table
-        Keys are the fields' names; a field with a default may be left out.
-    path, where
-        The file and the table, for the message.
-    above
-        Keys of the table round this one, where a key may have been meant to stand.
-
-    Raises
-    ------
-    FormatError
-        A key that is unknown, missing, or of the wrong kind.
-    TrueNewtonError
-        What the dataclass itself refuses.
+    The fields are numbers, texts, pairs of numbers, other such dataclasses, or tuples of them; one
+    with a default may be left out.
     """
+    with naming(path):
+        return _filled(kind, table, "", ())
+
+
+def _filled(
+    kind: type[Filled], table: Mapping[str, Any], where: str, above: Sequence[str]
+) -> Filled:
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     prefix = _prefix(where)
-    check_keys(table, tuple(fields), path, where, above)
+    _check_keys(table, tuple(fields), where, above)
     hints, values = get_type_hints(kind), {}
     for name, field in fields.items():
         if name in table:
             inside = f"{where}.{name}" if where else name
-            values[name] = _value(hints[name], table[name], path, inside, tuple(fields))
+            values[name] = _value(hints[name], table[name], inside, tuple(fields))
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            raise FormatError(f"{prefix}lacks '{name}'", remedy="add it", path=path, want=name)
+            raise FormatError(f"{prefix}lacks '{name}'", remedy="add it", want=name)
     try:
         return kind(**values)
     except TrueNewtonError as error:
-        raise error.changed(fault=f"{prefix}{error.fault}", path=path) from None
+        raise error.changed(fault=f"{prefix}{error.fault}") from None
 
 
 def check_keys(
@@ -84,14 +64,16 @@ def check_keys(
     known: Sequence[str],
     path: object,
     where: str = "",
-    above: Sequence[str] = (),
 ) -> None:
-    """Refuse the first key of a table that is none of those known; the rest as of `filled`.
+    """Refuse the first key of a table that is none of those known."""
+    with naming(path):
+        _check_keys(table, known, where, ())
 
-    Raises
-    ------
-    FormatError
-    """
+
+def _check_keys(
+    table: Mapping[str, Any], known: Sequence[str], where: str, above: Sequence[str]
+) -> None:
+    """Refuse a key; one of the table ``above`` may have been meant to stand there."""
     for key in table:
         if key in known:
             continue
@@ -101,7 +83,7 @@ def check_keys(
         elif close := get_close_matches(key, known, 1):
             meant = f"did you mean '{close[0]}'? {meant}"
         raise FormatError(
-            f"{_prefix(where)}knows no '{key}'", remedy=meant, path=path, got=key, want=tuple(known)
+            f"{_prefix(where)}knows no '{key}'", remedy=meant, got=key, want=tuple(known)
         )
 
 
@@ -109,25 +91,24 @@ def _prefix(where: str) -> str:
     return f"[{where}] " if where else ""
 
 
-def _value(kind: Any, value: Any, path: object, where: str, above: Sequence[str]) -> Any:
+def _value(kind: Any, value: Any, where: str, above: Sequence[str]) -> Any:
     if get_origin(kind) in (Union, UnionType):
         kind = next(part for part in get_args(kind) if part is not type(None))
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         if isinstance(value, Mapping):
-            return filled(kind, value, path, where, above)
-        raise _wrong(where, "a table", value, path)
+            return _filled(kind, value, where, above)
+        raise _wrong(where, "a table", value)
     if get_origin(kind) is tuple:
         inner = get_args(kind)
         if not isinstance(value, list) or (inner[-1] is not ... and len(value) != len(inner)):
-            raise _wrong(where, "a list" if inner[-1] is ... else counted(inner, "value"), value,
-                         path)  # fmt: skip
-        return tuple(_value(inner[0], part, path, where, above) for part in value)
+            raise _wrong(where, "a list" if inner[-1] is ... else counted(inner, "value"), value)
+        return tuple(_value(inner[0], part, where, above) for part in value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value) if abs(value) < 1e300 else math.inf
     if isinstance(value, str) and "\0" in value:  # no name of a file can hold it
-        raise _wrong(where, "text without null characters", value, path)
+        raise _wrong(where, "text without null characters", value)
     if type(value) is not kind or (kind is float and math.isnan(value)):
-        raise _wrong(where, NAMES[kind], value, path)
+        raise _wrong(where, NAMES[kind], value)
     return value
 
 
@@ -159,6 +140,6 @@ def _written(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _wrong(where: str, want: str, got: Any, path: object) -> FormatError:
+def _wrong(where: str, want: str, got: Any) -> FormatError:
     shown = repr(got)[:60]
-    return FormatError(f"{where} is {shown}", remedy=f"give {want}", path=path, got=got, want=want)
+    return FormatError(f"{where} is {shown}", remedy=f"give {want}", got=got, want=want)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, in_units
+from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, TableFormat
@@ -22,14 +22,13 @@ from truenewton.mirrors.checks import CHECKS, check_actuators, check_outline
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
+from truenewton.quantities import Quantity, check_quantities, convert_quantities
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.records.segment import require_segment
 from truenewton.rounding import listed
 from truenewton.statics.layout import MAX_DISTANCE, Layout, layout
 
 Made = TypeVar("Made")
-SIGNS = {"weight": -1, "added_weight": -1, "weight_error": 1, "added_weight_error": 1,
-         "magnet_mass": 1, "gap": 1, "vent_radius": 1, "tool_radius": 1}  # fmt: skip
 OUTLINE = FileFormat(
     extensions=(
         TableFormat(
@@ -42,20 +41,20 @@ OUTLINE = FileFormat(
         ),
     )
 )
-MAX_NUMBER = 1e15  # of a mirror; the modulus of stiff glass is smaller
-MIN_ALPHA = 1e-3  # and its inverse; beyond them the unit of force is wrong
 
 
 @dataclass(frozen=True, eq=False)
 class _Points:
     """Points of an outline, x and y (n,) [m]; loop (n,) 0 of the edge, 1, 2, ... of the holes."""
 
+    QUANTITIES: ClassVar = {"x": Quantity("m"), "y": Quantity("m")}
+
     x: Array
     y: Array
     loop: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        in_units(self, {"x": "m", "y": "m"})
+        convert_quantities(self)
 
 
 def layout_in(path: Path) -> Layout:
@@ -291,21 +290,13 @@ def _segment_from(file: Path, whole: Path) -> Mirror:
 def _mirror_in(tables: dict[str, Any], path: Path) -> Mirror:
     tables, points = _with_points(tables, path)
     written = _within_reach(filled(_Written, tables, path), points)
-    _refuse_absurd(written, path)
-    for name, sign in SIGNS.items():
-        value = getattr(written, name) or 0.0
-        if not 0.0 <= sign * value < np.inf:
-            raise FormatError(
-                f"{name} is {value:g}",
-                remedy="weights are negative (z points up), the rest is not",
-                path=path,
-            )
-    low, high = written.alpha_range
-    if not MIN_ALPHA <= low <= high <= 1.0 / MIN_ALPHA:
+    try:
+        check_quantities(written)
+    except FormatError as error:
+        raise located(error, path) from None
+    if written.alpha_range[0] > written.alpha_range[1]:
         raise FormatError(
-            f"alpha_range is {list(written.alpha_range)}",
-            remedy="give the lowest and highest alpha, positive and near 1",
-            path=path,
+            f"alpha_range is {list(written.alpha_range)}", remedy="lowest first", path=path
         )
     if abs(written.coil_gradient) * written.gap >= 1.0:
         raise FormatError(
@@ -375,28 +366,3 @@ def _check_reach(outline: Outline) -> None:
             f"the outline reaches {furthest:.3g} m from the axis",
             remedy="x and y are metres; check their unit",
         )
-
-
-def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
-    """Refuse numbers that can only be wrong units, and whose squares would overflow."""
-    for field in fields(written):
-        value = getattr(written, field.name)
-        if is_dataclass(value):
-            _refuse_absurd(value, path, f"{inside}{field.name}.")
-        sizes = np.abs(list(_numbers(value)))
-        flat = field.default == np.inf and value == np.inf  # no radius of curvature
-        if not (flat or (sizes <= MAX_NUMBER).all()):
-            raise FormatError(
-                f"{inside}{field.name} is {value}",
-                remedy=f"check its unit; numbers are in SI units, up to {MAX_NUMBER:g}",
-                path=path,
-            )
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    """Yield the numbers in nested tuples."""
-    if isinstance(value, tuple):
-        for part in value:
-            yield from _numbers(part)
-    elif isinstance(value, float):
-        yield value

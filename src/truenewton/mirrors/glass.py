@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from truenewton.arrays import Array, in_units
+from truenewton.arrays import Array
 from truenewton.errors import GeometryError
+from truenewton.quantities import Quantity, convert_quantities
 
 MIN_THICKNESS = 1e-6  # [m]
 MIN_THICKNESS_RATIO = 1e-4  # to the outer radius; large shells have 1.6e-3
@@ -36,11 +38,13 @@ class Annulus:
         Invalid radii.
     """
 
+    QUANTITIES: ClassVar = {"inner_radius": Quantity("m"), "outer_radius": Quantity("m")}
+
     inner_radius: float = 8e-3
     outer_radius: float = 12.5e-3
 
     def __post_init__(self) -> None:
-        in_units(self, {"inner_radius": "m", "outer_radius": "m"})
+        convert_quantities(self)
         if not (0 <= self.inner_radius <= self.outer_radius and 0 < self.outer_radius < np.inf):
             raise GeometryError(
                 f"a sensor from {self.inner_radius:.6g} m to {self.outer_radius:.6g} m",
@@ -73,6 +77,10 @@ class Outline:
         actuators.
     """
 
+    QUANTITIES: ClassVar = {
+        "edge": Quantity("m"), "holes": Quantity("m"), "mesh_size": Quantity("m"),
+    }  # fmt: skip
+
     edge: Polygon
     holes: tuple[Polygon, ...] = ()
     mesh_size: float | None = None
@@ -103,6 +111,12 @@ class Shell:
         None for an annulus.
     """
 
+    QUANTITIES: ClassVar = {
+        "inner_radius": Quantity("m"), "outer_radius": Quantity("m"), "thickness": Quantity("m"),
+        "young_modulus": Quantity("Pa"), "poisson_ratio": Quantity(), "density": Quantity("kg/m3"),
+        "radius_of_curvature": Quantity("m"),
+    }  # fmt: skip
+
     inner_radius: float
     outer_radius: float
     thickness: float
@@ -113,7 +127,7 @@ class Shell:
     outline: Outline | None = None
 
     def __post_init__(self) -> None:
-        in_units(self, SHELL_UNITS)
+        convert_quantities(self)
 
     @property
     def bending_stiffness(self) -> float:

@@ -9,21 +9,20 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from truenewton.arrays import in_units
 from truenewton.errors import UnknownName
 from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.quantities import Quantity, convert_quantities
 from truenewton.statics.layout import Layout, spherical_rings
 
 GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
 MAX_RING_ACTUATORS = 5352
-MIRROR_UNITS = {"weight": "N", "weight_error": "N", "added_weight": "N", "added_weight_error": "N",
-                "bias_force": "N", "magnet_mass": "kg", "alpha_range": "", "gap": "m",
-                "puck_radius": "m", "vent_radius": "m", "tool_radius": "m", "coil_gradient": "1/m",
-                "bias_gradient": "N/m"}  # fmt: skip
+MIN_ALPHA = 1e-3  # below and above its inverse the unit of force is wrong
+WEIGHT = Quantity("N", high=0.0, why="weights are negative (z points up)")
+NOT_NEGATIVE = {unit: Quantity(unit, 0.0) for unit in ("N", "m", "kg")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +63,18 @@ class MirrorNumbers:
         BIASGRAD, change of one bias force per displacement along +z [N/m].
     """
 
+    QUANTITIES: ClassVar = {
+        "weight": WEIGHT, "weight_error": NOT_NEGATIVE["N"], "added_weight": WEIGHT,
+        "added_weight_error": NOT_NEGATIVE["N"], "bias_force": Quantity("N"),
+        "magnet_mass": NOT_NEGATIVE["kg"], "gap": NOT_NEGATIVE["m"], "puck_radius": Quantity("m"),
+        "vent_radius": NOT_NEGATIVE["m"], "tool_radius": NOT_NEGATIVE["m"],
+        "coil_gradient": Quantity("1/m"), "bias_gradient": Quantity("N/m"),
+        "alpha_range": Quantity(
+            "", MIN_ALPHA, 1.0 / MIN_ALPHA,
+            "give the lowest and highest alpha, positive and near 1",
+        ),
+    }  # fmt: skip
+
     name: str
     shell: Shell
     weight: float
@@ -82,7 +93,7 @@ class MirrorNumbers:
     bias_gradient: float = 0.0
 
     def __post_init__(self) -> None:
-        in_units(self, MIRROR_UNITS)
+        convert_quantities(self)
 
 
 @dataclass(frozen=True, kw_only=True)

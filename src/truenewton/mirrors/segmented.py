@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import ClassVar
 
 import numpy as np
 
-from truenewton.arrays import Array, in_units
+from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline, Polygon, Shell
 from truenewton.mirrors.known import GRAVITY, SHARED, Mirror, MirrorNumbers
 from truenewton.mirrors.shell.finite_elements.outline import depth_inside, polygon_of, sides_of
+from truenewton.quantities import Quantity, convert_quantities
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, layout, rings
 
@@ -39,12 +41,14 @@ class Place:
         Its rotation, counter-clockwise [deg].
     """
 
+    QUANTITIES: ClassVar = {"x": Quantity("m"), "y": Quantity("m"), "turned": Quantity("deg")}
+
     x: float
     y: float
     turned: float = 0.0
 
     def __post_init__(self) -> None:
-        in_units(self, {"x": "m", "y": "m", "turned": "deg"})
+        convert_quantities(self)
 
     @property
     def motion(self) -> Array:

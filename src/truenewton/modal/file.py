@@ -18,8 +18,7 @@ from truenewton.files.format import Attribute, Column, FileFormat, ImageFormat, 
 from truenewton.files.outputs import files_together
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
-from truenewton.records.file import write_stiffness
-from truenewton.records.formats import ACTUATORS, SOURCES
+from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import svds
 
-from truenewton.arrays import Array, taking_units
+from truenewton.arrays import Array
 from truenewton.calibration.methods import asked, calibrate, calibration_of, estimate_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
-from truenewton.errors import NotToBeUsed
+from truenewton.errors import Fault, NotToBeUsed
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
@@ -37,11 +37,11 @@ from truenewton.modal.measured_stiffness import (
 from truenewton.modal.modal_base import EFFICIENCY, Budget, Dissipation, ModalBase, modal_base
 from truenewton.modal.true_stiffness import TrueStiffness, indices_of, static_force, true_stiffness
 from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
+from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
-from truenewton.records.notebook import html_table
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import html_table
 from truenewton.statics.modes import StiffnessModes
 
 MAX_PAIR_DIFFERENCE = 0.01  # relative, of the stiffness of two modes that are a pair

@@ -16,15 +16,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from truenewton.arrays import Array, freeze, in_units
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.modal.true_stiffness import TrueStiffness
 from truenewton.modal.turbulence import SeenTurbulence
+from truenewton.quantities import Quantity, check_quantities, convert_quantities
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import StiffnessModes
@@ -62,21 +63,21 @@ class Budget:
     41
     """
 
+    QUANTITIES: ClassVar = {
+        name: Quantity(
+            unit, MIN_LIMIT, np.inf, f"give a positive one, in {unit}",
+            f"the largest {name} is {{:g}} {unit}",
+        )
+        for name, unit in (("power", "W"), ("total", "W"), ("force", "N"))
+    }  # fmt: skip
+
     power: float = np.inf
     total: float = np.inf
     force: float = np.inf
 
     def __post_init__(self) -> None:
-        units = {"power": "W", "total": "W", "force": "N"}
-        in_units(self, units)
-        for name, unit in units.items():
-            limit = getattr(self, name)
-            if not limit >= MIN_LIMIT:
-                raise FormatError(
-                    f"the largest {name} is {limit:g} {unit}",
-                    remedy=f"give a positive one, in {unit}",
-                    got=limit,
-                )
+        convert_quantities(self)
+        check_quantities(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

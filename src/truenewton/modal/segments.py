@@ -10,12 +10,11 @@ import numpy as np
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import Seen, of_each, seen_of, sorted_out
-from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
+from truenewton.errors import CampaignMismatch, Fault, RankDeficient, UnknownName
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.modal_base import EFFICIENCY
 from truenewton.modal.turbulence import Atmosphere, pupil_of
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.words import row, warning_lines
+from truenewton.errors import Fault
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
-from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns, at least

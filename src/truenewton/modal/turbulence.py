@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
 from scipy.special import gamma, kv
 
-from truenewton.arrays import Array, freeze, in_units
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.modal.bases import overwritten_by_modes, zernike_modes
+from truenewton.quantities import Quantity, check_quantities, convert_quantities
 from truenewton.statics.layout import Layout
 
 WAVELENGTH = 500e-9  # at which seeing and r0 are stated [m]
@@ -54,25 +56,24 @@ class Atmosphere:
     Atmosphere(seeing=0.8, outer_scale=25.0)
     """
 
+    QUANTITIES: ClassVar = {
+        "seeing": Quantity(
+            "arcsec", MIN_SEEING, MAX_SEEING, "give the width at 500 nm, as 0.8",
+            "a seeing of {:g} arcsec",
+        ),
+        "outer_scale": Quantity(
+            "m", MIN_OUTER_SCALE, np.inf,
+            "give some tens of metres, or inf for Kolmogorov's spectrum",
+            "an outer scale of {:g} m",
+        ),
+    }  # fmt: skip
+
     seeing: float
     outer_scale: float = 40.0
 
     def __post_init__(self) -> None:
-        in_units(self, {"seeing": "arcsec", "outer_scale": "m"})
-        if not MIN_SEEING <= self.seeing <= MAX_SEEING:
-            raise FormatError(
-                f"a seeing of {self.seeing:g} arcsec",
-                remedy="give the width at 500 nm, as 0.8",
-                got=self.seeing,
-                want=f"{MIN_SEEING:g} to {MAX_SEEING:g}",
-            )
-        if not self.outer_scale >= MIN_OUTER_SCALE:
-            raise FormatError(
-                f"an outer scale of {self.outer_scale:g} m",
-                remedy="give some tens of metres, or inf for Kolmogorov's spectrum",
-                got=self.outer_scale,
-                want=f"{MIN_OUTER_SCALE:g} at least",
-            )
+        convert_quantities(self)
+        check_quantities(self)
 
     @property
     def fried_parameter(self) -> float:

@@ -3,14 +3,11 @@
 cycle             one run through all shapes under one load
 campaign          cycles of one mirror that belong together
 stiffness_matrix  a measured stiffness: commanded force per displacement
-fault             what is wrong, and what mends it
-notebook          results as a notebook shows them
 segmented         what was measured of a mirror in several segments
 segment           what a segment of a mirror weighs
 of_segments       what was found of each segment, and why nothing of the others
 source            the file that data came from, and what of it went into a result
 samples           streams of raw samples, averaged to rows
-file              cycle and stiffness files, both ways
-formats           what stands in them
-opened            a file that was read, and the cycle in it
+file              cycle and stiffness files: what they hold, both ways
+reader            files of cycles as they are opened, here or by a worker of a cluster
 """

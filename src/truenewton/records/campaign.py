@@ -13,9 +13,8 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
-from truenewton.records.notebook import html_table
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted, with_error
+from truenewton.rounding import counted, html_table, with_error
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -146,13 +145,7 @@ def load_temperatures(campaign: Campaign) -> Array:
 
 
 def ordered_cycles(cycles: Iterable[Cycle]) -> tuple[Cycle, ...]:
-    """Return cycles of one mirror by load, the bare one first, then by number.
-
-    Raises
-    ------
-    CampaignMismatch
-        They disagree on the mirror, a weight or the actuators, or one stands twice.
-    """
+    """Return cycles by load, the bare one first, then by number; refuse several mirrors."""
     ordered = sorted(cycles, key=_campaign_order)
     if not ordered:
         raise CampaignMismatch("there are no cycle files", remedy="give at least one")
@@ -180,12 +173,7 @@ def ordered_cycles(cycles: Iterable[Cycle]) -> tuple[Cycle, ...]:
 
 
 def refuse_foreign(matrix: StiffnessMatrix | None, cycle: Cycle) -> None:
-    """Refuse a stiffness matrix that is not of a cycle's mirror.
-
-    Raises
-    ------
-    CampaignMismatch
-    """
+    """Refuse a stiffness matrix that is not of a cycle's mirror."""
     if matrix is None:
         return
     other = matrix.instrument != cycle.instrument

@@ -6,58 +6,33 @@ import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, freeze, in_units, mask_of
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, columns_of, largest_in_rows
-from truenewton.records.segment import (
-    Segment,
-    check_mirror_weight,
-    check_segments,
-    lacks_weights,
-    sums_of,
-)
+from truenewton.quantities import Quantity, check_quantities, convert_quantities, mask_of
+from truenewton.records.segment import Segment, check_segments, lacks_weights, sums_of
 from truenewton.records.source import Source, check_date
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import (
     LARGEST_FORCE,
     LEAST_NOISE,
+    MIRROR_WEIGHT,
     SMALLEST_FORCE,
     Load,
     check_load,
-    check_number,
 )
 
 LARGEST_DISPLACEMENT = 1e3  # [m]
-# The arrays of a cycle: their type, and beyond what a value is a slip of the unit, not a mirror;
-# that also keeps squares finite.
-ARRAYS: dict[str, tuple[type, float | None]] = {
-    "time": (float, 1e8),  # [s]
-    "shape": (np.int64, None),
-    "sign": (np.int64, None),
-    "valid": (bool, None),
-    "temperature": (float, 150.0),  # [deg C]
-    "force": (float, LARGEST_FORCE),
-    "position": (float, LARGEST_DISPLACEMENT),
-}
-
-# What to do about a value beyond these.
-REMEDIES = {
-    "time": "count TIME in seconds from DATE-OBS",
-    "temperature": "declare the unit of TEMPERATURE, deg_C or K; leave the column out where it was"
-    " not measured",
-    "force": "check the unit that FORCE declares",
-    "position": "check the unit that POSITION declares",
-}
-UNITS = {
-    "time": "s", "shape": "", "sign": "", "valid": "", "temperature": "deg_C", "force": "N",
-    "position": "m", "number": "", "weight": "N", "weight_error": "N", "coil_gradient": "1/m",
-    "bias_gradient": "N/m", "gap": "m", "force_error": "N",
-}  # fmt: skip
+ANY_LENGTH = Quantity("m", -np.inf, np.inf)
+# The arrays of a cycle and their types.
+ARRAYS = {"time": float, "shape": np.int64, "sign": np.int64, "valid": bool, "temperature": float,
+          "force": float, "position": float}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,6 +82,32 @@ class Cycle:
     >>> stronger = dataclasses.replace(cycle, force=0.9 * np.asarray(cycle.force))
     """
 
+    QUANTITIES: ClassVar = MIRROR_WEIGHT | {
+        "time": Quantity("s", -1e8, 1e8, "count TIME in seconds from DATE-OBS"),
+        "temperature": Quantity(
+            "deg_C", -150.0, 150.0,
+            "declare the unit of TEMPERATURE, deg_C or K; leave the column out where it was not"
+            " measured",
+        ),
+        "force": Quantity("N", -LARGEST_FORCE, LARGEST_FORCE, "check the unit that FORCE declares"),
+        "position": Quantity(
+            "m", -LARGEST_DISPLACEMENT, LARGEST_DISPLACEMENT,
+            "check the unit that POSITION declares",
+        ),
+        "shape": Quantity(), "sign": Quantity(), "valid": Quantity(), "gap": ANY_LENGTH,
+        "number": Quantity("", 1, why="cycles count from 1", fault="CYCLE is {:g}"),
+        "force_error": Quantity(
+            "N", LEAST_NOISE, LARGEST_FORCE,
+            "a standard deviation is positive; leave it out if unknown", "FORCERR is {:g} N",
+        ),
+        "coil_gradient": Quantity(
+            "1/m", -LARGEST_FORCE, LARGEST_FORCE, "check its unit", "COILGRAD is {:g}"
+        ),
+        "bias_gradient": Quantity(
+            "N/m", -LARGEST_FORCE, LARGEST_FORCE, "check its unit", "BIASGRAD is {:g}"
+        ),
+    }  # fmt: skip
+
     instrument: str
     date: datetime.datetime
     number: int
@@ -129,14 +130,15 @@ class Cycle:
     segments: tuple[Segment, ...] = ()
 
     def __post_init__(self) -> None:
-        in_units(self, UNITS)
+        convert_quantities(self)
         self._check_segments()
         self._take_masks()
-        for name, (dtype, _) in ARRAYS.items():
+        for name, dtype in ARRAYS.items():
             if not isinstance(getattr(self, name), StoredRows | None):
                 freeze(self, name, dtype=dtype)
         check_date(self.date)
-        self._check_numbers()
+        check_load(self.load)
+        check_quantities(self)
         self._check_rows()
 
     def _take_masks(self) -> None:
@@ -166,18 +168,6 @@ class Cycle:
                 )
             object.__setattr__(self, "segments", ordered)
 
-    def _check_numbers(self) -> None:
-        noise = self.force_error
-        check_mirror_weight(self.weight, self.weight_error)
-        check_load(self.load)
-        check_number("CYCLE", self.number, self.number >= 1, "cycles count from 1")
-        if noise is not None:
-            positive = "a standard deviation is positive; leave it out if unknown"
-            check_number("FORCERR", noise, LEAST_NOISE <= noise <= LARGEST_FORCE, positive, " N")
-        for name, gradient in (("COILGRAD", self.coil_gradient), ("BIASGRAD", self.bias_gradient)):
-            if gradient is not None and abs(gradient) > LARGEST_FORCE:
-                raise FormatError(f"{name} is {gradient:g}", remedy="check its unit")
-
     def _check_rows(self) -> None:
         rows, n = np.size(self.time), self.layout.n
         for name in ARRAYS:
@@ -200,9 +190,9 @@ class Cycle:
             raise FormatError(
                 f"SHAPE in row {row + 1} is {self.shape[row]}", remedy="shapes count from 1"
             )
-        for name, (_, largest) in ARRAYS.items():
-            if largest is not None and getattr(self, name) is not None:
-                self._check_finite(name, largest)
+        for name in ("time", "temperature", "force", "position"):
+            if getattr(self, name) is not None:
+                self._check_finite(name, self.QUANTITIES[name])
         if self.largest_force < SMALLEST_FORCE:
             raise FormatError(
                 f"FORCE is {f'below {SMALLEST_FORCE:g} N' if self.largest_force else 'zero'}"
@@ -217,8 +207,8 @@ class Cycle:
                 got=self.force_error,
             )
 
-    def _check_finite(self, name: str, largest: float) -> None:
-        values = getattr(self, name)
+    def _check_finite(self, name: str, quantity: Quantity) -> None:
+        values, largest = getattr(self, name), quantity.high
         counted = self.layout.enabled if values.ndim == 2 else np.ones(1, dtype=bool)
         values = values if values.ndim == 2 else values[:, None]
         for row in np.flatnonzero(~(largest_in_rows(values, counted) <= largest) & self.valid):
@@ -229,7 +219,7 @@ class Cycle:
                 of = f" for actuator {self.layout.id[counted][wrong][0]}"
                 remedy += "; if it is so in all rows, set ENABLED of the actuator to F"
             if np.isfinite(bad):
-                remedy = f"{REMEDIES[name]}, or mark the row as not VALID"
+                remedy = f"{quantity.why}, or mark the row as not VALID"
             raise FormatError(
                 f"{name.upper()} in row {row + 1} is {bad:g}{of}", remedy=remedy, got=bad
             )

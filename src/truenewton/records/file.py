@@ -1,4 +1,4 @@
-"""Cycle and stiffness files (docs/files.md): between FITS or HDF5 and the measurement records."""
+"""Cycle and stiffness files (docs/files.md): what they hold, and how they are read and written."""
 
 from __future__ import annotations
 
@@ -14,26 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, UnreadableFile, located
+from truenewton.errors import FormatError, UnreadableFile, located, naming
 from truenewton.files.content import PRIMARY, FitsFile
 from truenewton.files.fits import read_fits, write_fits
-from truenewton.files.format import FileFormat
+from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.hdf5 import STREAM, is_hdf5, read_hdf5, write_hdf5
 from truenewton.files.hdf5 import SUFFIXES as HDF5
 from truenewton.files.outputs import folder_beside
-from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
-from truenewton.records.formats import (
-    ACTUATORS,
-    CYCLE,
-    MEASUREMENTS,
-    OF_SEGMENTS,
-    RAW,
-    SEGMENTED_CYCLE,
-    SEGMENTED_RAW,
-    SEGMENTS,
-    STIFFNESS,
-)
 from truenewton.records.samples import SampleMeans, left_in_file, rows_of_samples, sample_means
 from truenewton.records.segment import Segment, lacks_weights, sums_of
 from truenewton.records.source import Source
@@ -43,6 +31,92 @@ from truenewton.statics.load import LEAST_NOISE, Load
 
 SUFFIXES = (".fits", ".fits.gz")
 ROUNDING = 1e-12  # of the largest mean
+INSTRUMENT = Keyword("INSTRUME", "instrument", "mirror", kind="str")
+ID = Column("ID", "layout.id", kind="int")
+X, Y = (Column(name, f"layout.{name.lower()}", "m") for name in "XY")
+NZ = Column("NZ", "layout.nz", absent=1.0)
+ENABLED = Column("ENABLED", "layout.enabled", kind="bool", absent=True)
+E_X, E_Y = (Column(f"E_{name}", f"layout.{name.lower()}_error", "m", absent=None) for name in "XY")
+SEGMENT = Column("SEGMENT", "layout.segment", kind="int", absent=None)
+ACTUATORS = TableFormat("ACTUATORS", (ID, X, Y, NZ, ENABLED, E_X, E_Y, SEGMENT))
+
+MEASUREMENTS = TableFormat(
+    "MEASUREMENTS",
+    (
+        Column("TIME", "time", "s"),
+        Column("SHAPE", "shape", kind="int"),
+        Column("SIGN", "sign", kind="int"),
+        Column("TEMPERATURE", "temperature", "deg_C", absent=None),
+        Column("FORCE", "force", "N", each="ACTUATORS"),
+        Column("POSITION", "position", "m", absent=None, each="ACTUATORS"),
+        Column("VALID", "valid", kind="bool", absent=True),
+    ),
+)
+CYCLE = FileFormat(
+    (
+        INSTRUMENT,
+        Keyword("DATE-OBS", "date", "UTC, start of the cycle", kind="date"),
+        Keyword("LOAD", "load.name", "name of the load", kind="str"),
+        Keyword("CYCLE", "number", "number of the cycle under this load", kind="int"),
+        Keyword("WEIGHT", "weight", "weight of the mirror along z at TILT 0, P", "N"),
+        Keyword("E_WEIGHT", "weight_error", "standard uncertainty of WEIGHT", "N"),
+        Keyword("ADDED", "load.added", "added weight, Q", "N"),
+        Keyword("E_ADDED", "load.added_error", "standard uncertainty of ADDED", "N"),
+        Keyword("TOOL", "load.tool", "name of the added weight", kind="str", absent=None),
+        Keyword("TILT", "load.tilt", "angle between axis and vertical", "deg", absent=0.0),
+        Keyword("E_TILT", "load.tilt_error", "standard uncertainty of TILT", "deg", absent=0.0),
+        Keyword(
+            "COILGRAD", "coil_gradient", "relative change of force along +z", "1/m", absent=None
+        ),
+        Keyword("BIASGRAD", "bias_gradient", "change of a bias force along +z", "N/m", absent=None),
+        Keyword("GAP", "gap", "nominal distance from the reference plate", "m", absent=None),
+        Keyword(
+            "FORCERR", "force_error", "standard deviation of one force reading", "N", absent=None
+        ),
+    ),
+    (
+        ACTUATORS,
+        MEASUREMENTS,
+    ),
+)
+SEGMENTS = TableFormat(
+    "SEGMENTS",
+    (
+        Column("SEGMENT", "number", kind="int"),
+        Column("WEIGHT", "weight", "N"),
+        Column("E_WEIGHT", "weight_error", "N"),
+        Column("ADDED", "added", "N"),
+        Column("E_ADDED", "added_error", "N"),
+    ),
+    of="segments",
+)
+OF_SEGMENTS = tuple(column.name for column in SEGMENTS.columns[1:])
+# Of a mirror in several segments: weights stand there, and not in the header.
+SEGMENTED_CYCLE = FileFormat(
+    tuple(keyword for keyword in CYCLE.keywords if keyword.name not in OF_SEGMENTS),
+    (*CYCLE.extensions, SEGMENTS),
+)
+SAMPLES = TableFormat(STREAM, MEASUREMENTS.columns)
+RAW = FileFormat(CYCLE.keywords, (ACTUATORS, SAMPLES))
+SEGMENTED_RAW = FileFormat(SEGMENTED_CYCLE.keywords, (ACTUATORS, SAMPLES, SEGMENTS))
+STIFFNESS = FileFormat(
+    (
+        INSTRUMENT,
+        Keyword("DATE-OBS", "date", "UTC", kind="date"),
+        Keyword("DISPLACE", "displaced", "displacements: read or true", kind="str", absent="read"),
+    ),
+    (ACTUATORS, ImageFormat("STIFFNESS", "stiffness", "N/m")),
+)
+SOURCES = TableFormat(
+    "SOURCES",
+    (
+        Column("FILE", "file", kind="str"),
+        Column("SHA256", "sha256", kind="str", width=64),
+        Column("ROWS", "rows", kind="int"),
+        Column("REJECTED", "rejected", kind="int"),
+    ),
+    of="sources",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +145,7 @@ class Averaged:
 
 
 def read_file(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS or HDF5 file; if not whole, vector columns are left in it.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Read a FITS or HDF5 file; if not whole, vector columns are left in it."""
     return (read_hdf5 if is_hdf5(path) else read_fits)(path, whole=whole)
 
 
@@ -91,13 +160,7 @@ def read_layout(path: str | os.PathLike[str]) -> Layout:
 
 
 def cycle_from(file: FitsFile, *, whole: bool = True) -> Cycle:
-    """Return the cycle that a file holds; if not whole, means of samples are left in the file.
-
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a cycle file.
-    """
+    """Return the cycle that a file holds; if not whole, means of samples are left in the file."""
     if not holds_cycle(file):
         there = ", ".join(name for name in file.extensions if name != PRIMARY)
         raise FormatError(
@@ -175,11 +238,6 @@ def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
     """Return the cycle of the samples that a file holds, and their scatter.
 
     If not whole, FORCE and POSITION are left in the file, and averaged anew whenever they are used.
-
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a cycle file, SAMPLES in the place of MEASUREMENTS.
     """
     if MEASUREMENTS.name in file.extensions:
         raise FormatError(
@@ -188,10 +246,8 @@ def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
             path=file.path,
         )
     values = _values(file, RAW, SEGMENTED_RAW)
-    try:
+    with naming(file.path):
         first, number = rows_of_samples(values["shape"], values["sign"], values["valid"])
-    except FormatError as error:
-        raise located(error, file.path) from None
     values |= {name: values[name][first] for name in ("shape", "sign")}
     values["valid"] = np.ones(len(first), dtype=bool)
     for name in ("time", "temperature"):
@@ -212,25 +268,13 @@ def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
 
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
-    """Return the stiffness matrix that a file holds.
-
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a stiffness file.
-    """
+    """Return the stiffness matrix that a file holds."""
     source = Source(file.path, file.sha256)
     return file.filled(StiffnessMatrix, file.values(STIFFNESS) | {"source": source})
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return the files meant by files and folders; of a folder those of data, sorted by name.
-
-    Raises
-    ------
-    UnreadableFile
-        A path does not exist, or a folder holds no FITS or HDF5 file.
-    """
+    """Return the files meant by files and folders; of a folder those of data, sorted by name."""
     files: list[Path] = []
     for path in map(Path, paths):
         try:
@@ -332,13 +376,3 @@ def write_stiffness(
     >>> tn.write_stiffness(matrix, "feedforward.fits")
     """
     write_fits(path, STIFFNESS, matrix, overwrite=overwrite)
-
-
-def campaign_from(files: Iterable[FitsFile]) -> Campaign:
-    """Return the campaign that cycle files make together.
-
-    Raises
-    ------
-    FormatError, CampaignMismatch
-    """
-    return Campaign(tuple(map(cycle_from, files)))

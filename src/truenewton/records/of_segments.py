@@ -10,8 +10,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, RankDeficient
-from truenewton.records.fault import Fault
+from truenewton.errors import Fault, FormatError, RankDeficient
 from truenewton.records.segment import require_segment
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout

@@ -83,14 +83,9 @@ class AveragedRows(StoredRows):
 
 
 def left_in_file(samples: Rows, means: SampleMeans, counted: Iterable[NDArray[np.bool_]]) -> Rows:
-    """Return the means as rows that stay in their file; those of samples in memory as they are.
+    """Return the means of (m, n) samples as rows that stay in their file; others as they are.
 
-    Parameters
-    ----------
-    samples, means
-        (m, n) samples, and what `sample_means` found of them.
-    counted
-        Each (n,) columns of which the largest is known then.
+    The largest of each row is kept for each (n,) columns of ``counted``.
     """
     if not isinstance(samples, StoredRows):
         return means.mean
@@ -105,18 +100,7 @@ def left_in_file(samples: Rows, means: SampleMeans, counted: Iterable[NDArray[np
 def rows_of_samples(
     shape: NDArray[np.int64], sign: NDArray[np.int64], valid: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (N,) the first sample of each row, and how many it has.
-
-    Parameters
-    ----------
-    shape, sign, valid
-        (m,) of the samples.
-
-    Raises
-    ------
-    FormatError
-        There is none.
-    """
+    """Return (N,) the first sample of each row, and how many it has, of (m,) samples."""
     counts = valid & (shape > 0)
     label = np.where(counts, 2 * shape + (sign > 0), 0)
     first = np.flatnonzero(np.diff(label, prepend=label[:1] - 1))
@@ -131,15 +115,7 @@ def rows_of_samples(
 
 
 def sample_means(values: Rows, first: NDArray[np.int64], number: NDArray[np.int64]) -> SampleMeans:
-    """Average (m, n) samples, some megabytes at a time.
-
-    Parameters
-    ----------
-    values
-        The samples, or where they stay in their file.
-    first, number
-        (N,) as of `rows_of_samples`.
-    """
+    """Average (m, n) samples, some megabytes at a time; (N,) rows as of `rows_of_samples`."""
     n = values.shape[1]
     batches = np.minimum(BATCHES, number)
     mean, within, between = np.zeros((3, len(first), n))

@@ -10,7 +10,7 @@ import numpy as np
 from truenewton.errors import FormatError, TrueNewtonError, UnknownName
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
-from truenewton.statics.load import Load, check_error, check_load, check_number, check_weight
+from truenewton.statics.load import ADDED_WEIGHT, MIRROR_WEIGHT
 
 
 class Segment(NamedTuple):
@@ -36,19 +36,6 @@ class Segment(NamedTuple):
     weight_error: float
     added: float = 0.0
     added_error: float = 0.0
-
-
-def check_mirror_weight(weight: float, weight_error: float) -> None:
-    """Refuse a weight P, or its standard uncertainty, that cannot be [N].
-
-    Raises
-    ------
-    FormatError
-    """
-    check_weight("WEIGHT", weight)
-    upward = "z points up, so a weight is negative: store " + (f"{-weight:g}" if weight else "it")
-    check_number("WEIGHT", weight, weight < 0.0, upward, " N")
-    check_error("E_WEIGHT", weight_error)
 
 
 def lacks_weights(layout: Layout) -> FormatError:
@@ -84,8 +71,8 @@ def check_segments(segments: tuple[Segment, ...], layout: Layout) -> None:
         )
     for segment in segments:
         try:
-            check_mirror_weight(segment.weight, segment.weight_error)
-            check_load(Load("this", segment.added, segment.added_error))
+            for name, quantity in (MIRROR_WEIGHT | ADDED_WEIGHT).items():
+                quantity.check(getattr(segment, name))
         except TrueNewtonError as error:
             raise error.changed(fault=f"{error.fault} of segment {segment.number}") from None
 

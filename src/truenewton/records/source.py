@@ -27,11 +27,6 @@ class Source:
 
 
 def check_date(date: object) -> None:
-    """Refuse what is no date.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse what is no date."""
     if not isinstance(date, datetime.datetime):
         raise FormatError(f"the date is {date!r}", remedy="give a datetime.datetime, UTC", got=date)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import datetime
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from truenewton.arrays import Array, freeze, in_units
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
+from truenewton.quantities import MAX_MAGNITUDE, Quantity, convert_quantities
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
 
 DISPLACED = ("read", "true")
-UNITS = {"stiffness": "N/m"}
-NOTHING = 1e-30  # an element below it is 0 [N/m]: squares of what remains stay above zero
+MIN_ELEMENT = 1e-30  # an element below it is 0 [N/m]: squares of what remains stay above zero
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,6 +44,8 @@ class StiffnessMatrix:
     <StiffnessMatrix of P45: 45 actuators>
     """
 
+    QUANTITIES: ClassVar = {"stiffness": Quantity("N/m")}
+
     instrument: str
     date: datetime.datetime
     layout: Layout
@@ -59,11 +62,12 @@ class StiffnessMatrix:
                 got=self.displaced,
                 want=DISPLACED,
             )
-        in_units(self, UNITS)
+        convert_quantities(self)
         freeze(self, "stiffness")
         sizes = np.abs(self.stiffness)
-        if ((sizes > 0.0) & (sizes < NOTHING)).any():
-            object.__setattr__(self, "stiffness", np.where(sizes < NOTHING, 0.0, self.stiffness))
+        tiny = sizes < MIN_ELEMENT
+        if (tiny & (sizes > 0.0)).any():
+            object.__setattr__(self, "stiffness", np.where(tiny, 0.0, self.stiffness))
             freeze(self, "stiffness")
         n = self.layout.n
         if self.stiffness.shape != (n, n):
@@ -74,8 +78,7 @@ class StiffnessMatrix:
                 want=(n, n),
             )
         counted = self.used_stiffness
-        # 1e15 N/m: a slip of the unit, and squares must stay finite.
-        if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > 1e15:
+        if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > MAX_MAGNITUDE:
             raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
         if not np.abs(counted).max(initial=0.0) > 1e-9:
             raise FormatError(

@@ -18,6 +18,7 @@ from truenewton.calibration.methods import (
 )
 from truenewton.calibration.result import Calibration
 from truenewton.errors import (
+    Fault,
     NotConverged,
     RankDeficient,
     TooManyOutliers,
@@ -30,7 +31,6 @@ from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.measured_stiffness import motion_reader
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.evidence import (

@@ -11,11 +11,11 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import Verdict, no_alpha
 from truenewton.calibration.words import as_sentences
+from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.findings.scale_budget import scale_total, typical
-from truenewton.records.fault import Fault
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
 from truenewton.rounding import counted, named, percent, significant, to_digits, with_error

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from truenewton.arrays import Array, freeze, in_units, taking_units
+from truenewton.arrays import Array, freeze
 from truenewton.errors import GeometryError
+from truenewton.quantities import Quantity, convert_quantities, taking_units
 
 MAX_DISTANCE = 10.0  # of an actuator from the axis [m]; beyond it the unit is wrong
-UNITS = {
-    "id": "", "x": "m", "y": "m", "nz": "", "enabled": "", "x_error": "m", "y_error": "m",
-    "segment": "",
-}  # fmt: skip
 MAX_ACTUATORS = 20000
 PLACE = ("x", "y", "nz")
 POSITION_TOLERANCE = 1e-6  # [m], and of NZ: the precision of four bytes, or of short tables
@@ -55,6 +52,11 @@ class Layout:
     array([1., 1., 1.])
     """
 
+    QUANTITIES: ClassVar = {
+        "x": Quantity("m"), "y": Quantity("m"), "x_error": Quantity("m"), "y_error": Quantity("m"),
+        "id": Quantity(), "nz": Quantity(), "enabled": Quantity(), "segment": Quantity(),
+    }  # fmt: skip
+
     id: NDArray[np.int64]
     x: Array
     y: Array
@@ -65,7 +67,7 @@ class Layout:
     segment: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
-        in_units(self, UNITS)
+        convert_quantities(self)
         freeze(self, "id", dtype=np.int64)
         freeze(self, "x", "y", "nz")
         freeze(self, "enabled", dtype=np.bool_)

@@ -2,15 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import ClassVar
 
-from truenewton.arrays import in_units
 from truenewton.errors import FormatError
+from truenewton.quantities import Quantity, check_quantities, convert_quantities
 
 LEAST_NOISE = 1e-15  # a standard deviation below is none; its inverse square stays finite [N]
 LARGEST_FORCE = 1e6  # beyond it a force is a slip of the unit, and squares must stay finite [N]
 SMALLEST_FORCE = 1e-9  # and the least that the largest one may be: squares stay above zero [N]
-UNITS = {"added": "N", "added_error": "N", "tilt": "deg", "tilt_error": "deg"}
+STEEPEST = math.nextafter(90.0, 0.0)  # tilt [deg]
+
+
+def weight_quantity(name: str, highest: float) -> Quantity:
+    """Return what the weight of a part is, by its keyword [N]; zero or less."""
+    kind = "an added weight" if name == "ADDED" else "a weight"
+    why = f"z points up, so {kind} is negative, in N"
+    return Quantity("N", -LARGEST_FORCE, highest, why, f"{name} is {{:g}} N")
+
+
+def error_quantity(name: str, unit: str) -> Quantity:
+    """Return what the standard uncertainty of a weight or angle is, by its keyword."""
+    why = f"give a standard uncertainty, zero or more, in {unit}"
+    return Quantity(unit, 0.0, LARGEST_FORCE, why, f"{name} is {{:g}}")
+
+
+# Q and P with their standard uncertainties [N], of a mirror or a segment of one.
+ADDED_WEIGHT = {
+    "added": weight_quantity("ADDED", 0.0),
+    "added_error": error_quantity("E_ADDED", "N"),
+}
+MIRROR_WEIGHT = {
+    "weight": weight_quantity("WEIGHT", -LEAST_NOISE),
+    "weight_error": error_quantity("E_WEIGHT", "N"),
+}
 
 
 @dataclass(frozen=True)
@@ -34,6 +60,15 @@ class Load:
     -0.289
     """
 
+    QUANTITIES: ClassVar = {
+        **ADDED_WEIGHT,
+        "tilt": Quantity(
+            "deg", -STEEPEST, STEEPEST,
+            "give the angle between axis and vertical, under 90 deg", "TILT is {:g} deg",
+        ),
+        "tilt_error": error_quantity("E_TILT", "deg"),
+    }  # fmt: skip
+
     name: str
     added: float = 0.0
     added_error: float = 0.0
@@ -42,7 +77,7 @@ class Load:
     tilt_error: float = 0.0
 
     def __post_init__(self) -> None:
-        in_units(self, UNITS)
+        convert_quantities(self)
 
     @property
     def key(self) -> str:
@@ -57,29 +92,6 @@ def check_load(load: Load) -> None:
     ------
     FormatError
     """
-    check_weight("ADDED", load.added)
-    downward = f"z points up, so an added weight is negative: store {-abs(load.added):g}"
-    check_number("ADDED", load.added, load.added <= 0.0, downward, " N")
-    check_error("E_ADDED", load.added_error)
-    check_error("E_TILT", load.tilt_error)
-    upright = "give the angle between axis and vertical, under 90 deg"
-    check_number("TILT", load.tilt, abs(load.tilt) < 90.0, upright, " deg")
+    check_quantities(load)
     if not load.name.strip():
         raise FormatError("LOAD is blank", remedy="name the load")
-
-
-def check_weight(name: str, weight: float) -> None:
-    """Refuse a weight beyond `LARGEST_FORCE` [N]."""
-    check_number(name, weight, abs(weight) <= LARGEST_FORCE, "give the weight in Newton", " N")
-
-
-def check_error(name: str, error: float) -> None:
-    """Refuse an invalid standard uncertainty."""
-    remedy = "give a standard uncertainty, zero or more, in N or deg"
-    check_number(name, error, 0.0 <= error <= LARGEST_FORCE, remedy)
-
-
-def check_number(name: str, value: float, sound: bool, remedy: str, unit: str = "") -> None:
-    """Refuse an invalid number of a keyword."""
-    if not sound:
-        raise FormatError(f"{name} is {value:g}{unit}", remedy=remedy, got=value)

@@ -15,7 +15,7 @@ from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat, iso
 from truenewton.reading import part_of
-from truenewton.records.formats import ENABLED, ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.file import ENABLED, ID, INSTRUMENT, NZ, X, Y
 from truenewton.tracking.law import Tracking
 from truenewton.tracking.segmented import SegmentedTracking
 

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truenewton.arrays import Array, freeze, taking_units
+from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import LARGEST_ALPHA
 from truenewton.chance import chi2_sf
 from truenewton.errors import FormatError, RankDeficient
 from truenewton.estimation.findings.code import Level
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
-from truenewton.records.notebook import html_table
+from truenewton.quantities import taking_units
+from truenewton.rounding import html_table
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.family import Family

@@ -12,7 +12,7 @@ from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import balance_effects
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.reciprocity.acceptance import Evidence, instead, refusals
-from truenewton.foreign.importing import stiffness_from
+from truenewton.importers.importing import stiffness_from
 from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms

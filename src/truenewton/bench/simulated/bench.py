@@ -6,7 +6,6 @@ import datetime
 import os
 from collections.abc import Sequence
 
-from truenewton.arrays import taking_units
 from truenewton.bench.protocol import Reading, Shape, Status, check_samples
 from truenewton.bench.simulated.static import (
     PAUSE,
@@ -19,6 +18,7 @@ from truenewton.bench.simulated.static import (
 from truenewton.bench.simulated.truth import truth_path, write_truth
 from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror
+from truenewton.quantities import taking_units
 from truenewton.statics.load import Load
 
 FIDELITIES = ("static", "loop")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, taking_units
+from truenewton.arrays import Array
 from truenewton.bench.simulated.electronics import (
     REFERENCE_TEMPERATURE,
     SAMPLES,
@@ -48,6 +48,7 @@ from truenewton.mirrors.shell.shell_model import (
     static_shapes,
     weight_on,
 )
+from truenewton.quantities import taking_units
 from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
 from truenewton.statics.modes import scaled_modes, stiffness_modes

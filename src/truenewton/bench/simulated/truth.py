@@ -10,7 +10,7 @@ from typing import NamedTuple
 from truenewton.arrays import Array
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
-from truenewton.records.formats import ACTUATORS, INSTRUMENT
+from truenewton.records.file import ACTUATORS, INSTRUMENT
 from truenewton.statics.layout import Layout
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, f_isf, normal_sf
+from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.findings.finding import Finding
@@ -16,7 +17,6 @@ from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import Noise
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 
 MIN_VARIANCE_RATIO = 100.0  # times its noise the variance of a typical reading over shapes is
 MIN_RELATIVE_CHANGE = 0.03  # of a typical change, where nothing tells the noise

@@ -8,8 +8,8 @@ from enum import Enum, StrEnum
 import numpy as np
 
 from truenewton.arrays import Array
+from truenewton.errors import Fault
 from truenewton.estimation.findings.finding import Finding
-from truenewton.records.fault import Fault
 
 
 class NoiseSource(StrEnum):

@@ -20,14 +20,13 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
-from truenewton.errors import RankDeficient
+from truenewton.errors import Fault, RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.paper.equations import imbalance_covariance
 from truenewton.estimation.readings.moments import Moments
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout

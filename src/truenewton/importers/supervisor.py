@@ -7,13 +7,18 @@ column, and values, softest first: matrix = f_svec diag(sval) p_svec'. TRACKNUM 
 innermost: the k-th of ring r (k from 0, r from 1) of n stands at 90 deg + (k - r) 360 deg / n from
 x to y. `shell.txt` has the rings; `act_coordinates.fits` positions of the channels, in mm along the
 curved surface.
+
+A configuration folder of opticalib has `ActuatorsCoordinates.fits` (n, 2) [mm], beside which its
+mirror's `ff` was saved as `ff_matrix.fits`.
 """
 
 from __future__ import annotations
 
+import datetime
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,17 +26,22 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError
-from truenewton.foreign.choice import Places, places_in
-from truenewton.foreign.stored import Item, Stored, read_stored
-from truenewton.foreign.text import text_of
+from truenewton.calibration.result import Calibration
+from truenewton.calibration.verdict import refuse_unusable
+from truenewton.errors import CampaignMismatch, FormatError, UnreadableFile
+from truenewton.files.fits import write_fits
+from truenewton.files.format import FileFormat, Keyword
+from truenewton.files.outputs import folder_beside
+from truenewton.importers.selection import Positions, positions_in
+from truenewton.importers.stored import Item, read_stored, text_of
 from truenewton.statics.layout import Layout, layout, ring_of
 
 MATRIX, CHANNELS = "ff_matrix.fits", "ff_list.fits"
+TRACK_NUMBER = re.compile(r"(\d{4})(\d\d)(\d\d)_(\d\d)(\d\d)(\d\d)")
 NUMBERS, SHELL, POSITIONS = "act2mir_act.txt", "shell.txt", "act_coordinates.fits"
 
 
-def find(name: str, *folders: Path | None) -> Path | None:
+def find_file(name: str, *folders: Path | None) -> Path | None:
     """Return the first file of a name in folders, or up to two levels down in them."""
     for folder in folders:
         if folder is not None and folder.is_dir():
@@ -42,51 +52,33 @@ def find(name: str, *folders: Path | None) -> Path | None:
 
 
 def only_array(path: str | os.PathLike[str]) -> Item:
-    """Return the one array of a file, axes of length 1 left out.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
-    return _only(read_stored(path))
-
-
-def _only(stored: Stored) -> Item:
-    if len(stored.arrays) != 1:
+    """Return the one array of a file, axes of length 1 left out."""
+    arrays = read_stored(path).arrays
+    if len(arrays) != 1:
         raise FormatError(
-            f"holds {len(stored.arrays)} arrays", remedy="give one with one array", path=stored.path
+            f"holds {len(arrays)} arrays", remedy="give one with one array", path=path
         )
-    (item,) = stored.arrays.values()
+    (item,) = arrays.values()
     return Item(np.squeeze(item.values), item.unit)
 
 
 def channels_of(folder: Path) -> NDArray[np.int64]:
-    """Return the (m,) channels of a folder's matrix.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return the (m,) channels of a folder's matrix."""
     return _whole_numbers(np.atleast_1d(only_array(folder / CHANNELS).values), folder / CHANNELS)
 
 
 def places_of(
     folder: Path, conf: Path | None, mirror: Layout | None, channels: NDArray[np.int64]
-) -> tuple[Places | Layout, Path, str]:
-    """Return positions of (m,) channels, the file that gave them, and how, in words.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
-    numbers = find(NUMBERS, folder, conf)
-    shell = find(SHELL, folder, conf)
-    given = find(POSITIONS, folder, conf)
+) -> tuple[Positions | Layout, Path, str]:
+    """Return positions of (m,) channels, the file that gave them, and how, in words."""
+    numbers = find_file(NUMBERS, folder, conf)
+    shell = find_file(SHELL, folder, conf)
+    given = find_file(POSITIONS, folder, conf)
     if mirror is None and given is not None:
-        places = places_in(read_stored(given))
+        places = positions_in(read_stored(given))
         if places is None:
             raise FormatError("holds no positions", remedy="give (n, 2) or (2, n)", path=given)
-        return chosen(places, channels, given), given, "radii along the surface, in mm"
+        return of_channels(places, channels, given), given, "radii along the surface, in mm"
     if numbers is None:
         raise FormatError(
             "says not where its channels stand",
@@ -115,13 +107,8 @@ def places_of(
 
 
 def numbers_of(channels: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
-    """Return (m,) the numbers, ring by ring, of channels by a supervisor's table.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
-    ring_number = _whole_numbers(_only(read_stored(path)).values.ravel(), path)
+    """Return (m,) the numbers, ring by ring, of channels by a supervisor's table."""
+    ring_number = _whole_numbers(only_array(path).values.ravel(), path)
     if channels.max() >= len(ring_number):
         raise FormatError(
             f"has {len(ring_number)} channels, {CHANNELS} names channel {channels.max()}",
@@ -132,13 +119,7 @@ def numbers_of(channels: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
 
 
 def supervisor_order(rings: Layout) -> NDArray[np.int64]:
-    """Return (n,) which of a layout of rings each number of the supervisor is.
-
-    Raises
-    ------
-    FormatError
-        The layout has no such rings.
-    """
+    """Return (n,) which of a layout of rings each number of the supervisor is."""
     ring = ring_of(rings)
     order = []
     for r in range(1, int(ring.max()) + 2):
@@ -160,12 +141,7 @@ def supervisor_order(rings: Layout) -> NDArray[np.int64]:
 
 
 def shell_layout(path: Path) -> Layout:
-    """Return the rings of a shell.txt, from the innermost, each counter-clockwise from +y.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Return the rings of a shell.txt, from the innermost, each counter-clockwise from +y."""
     said = structure(path)
     try:
         counts = [int(n) for n in said["n_act_ring"]]
@@ -185,12 +161,7 @@ def shell_layout(path: Path) -> Layout:
 
 
 def structure(path: Path) -> dict[str, list[float]]:
-    """Return the numbers of a supervisor's structure file: `name type value`, or arrays to `end`.
-
-    Raises
-    ------
-    UnreadableFile
-    """
+    """Return the numbers of a structure file: `name type value`, or arrays to `end`."""
     lines = (re.split("[;#]", line)[0].split() for line in text_of(path).splitlines())
     words = [line for line in lines if line]
     said: dict[str, list[float]] = {}
@@ -220,7 +191,7 @@ def decomposed(matrix: Array) -> tuple[Array, Array, Array]:
     return left[:, ::-1], values[::-1], right[::-1].T
 
 
-def chosen(places: Places, channels: NDArray[np.int64], path: Path) -> Places:
+def of_channels(places: Positions, channels: NDArray[np.int64], path: Path) -> Positions:
     """Return places of (m,) channels, from those of all channels or of these alone."""
     n = len(np.asarray(places.x).ravel())
     if n == len(channels) or places.ids is not None:  # numbers are matched later
@@ -231,11 +202,7 @@ def chosen(places: Places, channels: NDArray[np.int64], path: Path) -> Places:
             remedy="give those of the same mirror",
             path=path,
         )
-
-    def some(values: Any) -> Any:
-        return None if values is None else np.asarray(values).ravel()[channels]
-
-    return Places(some(places.x), some(places.y), places.unit, None, some(places.nz))
+    return places.part(channels)
 
 
 def _whole_numbers(values: Array, path: Path) -> NDArray[np.int64]:
@@ -248,3 +215,134 @@ def _whole_numbers(values: Array, path: Path) -> NDArray[np.int64]:
     if np.unique(whole).size != whole.size:
         raise FormatError("names a channel twice", remedy="give each once", path=path)
     return whole.astype(np.int64)
+
+
+FIVE = {
+    "ff_list": "channels of the electronics",
+    "ff_matrix": "true force per displacement, forces in rows",
+    "ff_f_svec": "force singular vectors, one a column",
+    "ff_p_svec": "position singular vectors, one a column",
+    "ff_sval": "singular values, softest first",
+}
+
+
+FORM = FileFormat(
+    (
+        Keyword("DATE", "date", "UTC, when this file was made", kind="date"),
+        Keyword("TRACKNUM", "track", "", kind="str"),
+        Keyword("BUNIT", "unit", "", kind="str"),
+        Keyword("CONTENT", "content", "", kind="str"),
+        Keyword("ALPHA", "alpha", "what forces were corrected by", kind="str"),
+    ),
+    matrix="values",
+)
+
+
+def export_supervisor(
+    folder: str | os.PathLike[str],
+    calibration: Calibration,
+    output: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    force: bool = False,
+) -> tuple[str, ...]:
+    """Write a supervisor's five files anew, each row of the matrix times alpha of its actuator.
+
+    For electronics into which alpha is loaded: what they are then commanded is true. The sign is
+    that of the files. TRACKNUM is the track number in the name of the output, else that of the
+    files. Rows of actuators without alpha stay as they are.
+
+    Parameters
+    ----------
+    folder
+        With `ff_matrix.fits` and `ff_list.fits`.
+    calibration
+        Its IDs are channels, as in a stiffness file that was imported from such a folder.
+    output
+        Folder to write.
+    overwrite, force
+        Replace what stands there; go on although the verdict is 'rejected'.
+
+    Returns
+    -------
+    tuple of str
+        What was done, in words.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch, NotToBeUsed, OutputExists, OutputFailed
+
+    Examples
+    --------
+    >>> from astropy.io import fits
+    >>> fits.writeto("ff_matrix.fits", matrix.stiffness)
+    >>> fits.writeto("ff_list.fits", layout.id)
+    >>> done = tn.export_supervisor(".", calibration, "in-true-newtons")
+    """
+    refuse_unusable(calibration, force=force)
+    folder = Path(folder)
+    channels, matrix = _measured(folder)
+    alpha = _alpha_of(channels, calibration, folder)
+    stored = read_stored(folder / MATRIX)
+    known = np.isfinite(alpha)
+    corrected = np.where(known, alpha, 1.0)[:, None] * matrix
+    forces, values, positions = decomposed(corrected)
+    named = TRACK_NUMBER.search(Path(output).name)
+    track = named[0] if named else str(stored.header.get("TRACKNUM", "")).strip() or None
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    parts: dict[str, tuple[Any, str | None]] = {
+        "ff_list": (channels, None),
+        "ff_matrix": (corrected, "N/m"),
+        "ff_f_svec": (forces, None),
+        "ff_p_svec": (positions, None),
+        "ff_sval": (values, "N/m"),
+    }
+    by = f"{calibration.instrument} {calibration.method}"[:60]
+    with folder_beside(output, (".fits",), overwrite=overwrite) as temporary:
+        for name, (numbers, unit) in parts.items():
+            record = SimpleNamespace(
+                values=numbers, track=track, date=now, unit=unit, content=FIVE[name], alpha=by
+            )
+            write_fits(temporary / f"{name}.fits", FORM, record)
+    lines = [
+        f"{folder}: {len(channels)} channels, rows times alpha of {calibration.instrument}, which"
+        f" is {np.nanmin(alpha):.3f} .. {np.nanmax(alpha):.3f}",
+        "  forces are true Newtons: load alpha into the electronics too",
+        f"  TRACKNUM {track or 'unknown'}",
+    ]
+    if not known.all():
+        ids = ", ".join(map(str, channels[~known][:12].tolist()))
+        lines.append(f"  without alpha, as they were: {ids}")
+    return tuple(lines)
+
+
+def _measured(folder: Path) -> tuple[NDArray[np.int64], Array]:
+    """Return (m,) channels of a supervisor's folder and the (m, m) matrix, as stored."""
+    if not (folder / MATRIX).is_file():
+        raise UnreadableFile(
+            f"holds no {MATRIX}",
+            remedy="give the supervisor's folder of a measurement, named by its track number",
+            path=folder,
+        )
+    channels = channels_of(folder)
+    matrix = only_array(folder / MATRIX).values
+    if matrix.shape != (len(channels), len(channels)):
+        raise CampaignMismatch(
+            f"is {' x '.join(map(str, matrix.shape))} for {len(channels)} channels",
+            remedy="give ff_matrix.fits and ff_list.fits of one measurement",
+            path=folder / MATRIX,
+        )
+    return channels, matrix
+
+
+def _alpha_of(channels: NDArray[np.int64], calibration: Calibration, folder: Path) -> Array:
+    """Return (m,) alpha of channels; NaN where a calibration has none."""
+    at = {name: k for k, name in enumerate(calibration.layout.id.tolist())}
+    missing = [c for c in channels.tolist() if c not in at]
+    if missing:
+        raise CampaignMismatch(
+            f"the calibration has no actuator {missing[0]}, which is a channel of the matrix",
+            remedy="give that of the stiffness file that `truenewton import` made of this folder",
+            path=folder,
+        )
+    return np.asarray(calibration.alpha[[at[c] for c in channels.tolist()]])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,16 +12,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, UnreadableFile
-from truenewton.foreign.choice import Places, as_places, matrix_in, places_in, there_is
-from truenewton.foreign.folders import read_folder
-from truenewton.foreign.positions import Positions, in_metres
-from truenewton.foreign.stored import Item, Stored, plain, read_stored
-from truenewton.foreign.supervisor import NUMBERS
+from truenewton.errors import FormatError, UnreadableFile, naming
+from truenewton.importers.selection import (
+    Positions,
+    Surface,
+    in_metres,
+    matrix_in,
+    positions_in,
+    positions_of,
+    there_is,
+)
+from truenewton.importers.stored import Item, Stored, plain, read_stored
+from truenewton.importers.supervisor import (
+    CHANNELS,
+    MATRIX,
+    NUMBERS,
+    POSITIONS,
+    TRACK_NUMBER,
+    channels_of,
+    find_file,
+    numbers_of,
+    of_channels,
+    places_of,
+)
 from truenewton.statics.layout import Layout
 
 NAME = "MIRROR"  # where nothing tells it
-TRACK_NUMBER = re.compile(r"(\d{4})(\d\d)(\d\d)_(\d\d)(\d\d)(\d\d)")
+OPTICALIB_POSITIONS = "ActuatorsCoordinates.fits"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,24 +81,10 @@ class Given:
         return str(self.header.get("INSTRUME") or named or NAME)
 
 
-@dataclass(frozen=True)
-class Surface:
-    """How positions are to be taken: their unit, R [m] or None, radii along the surface."""
-
-    lengths: str | None
-    curvature: float | None
-    arc: bool
-
-
 def read_given(
     matrix: Any, coordinates: Any, mirror: Layout | None, dataset: str | None, surface: Surface
 ) -> Given:
-    """Read arrays, files or a folder, as `stiffness_from` takes them.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Read arrays, files or a folder, as `stiffness_from` takes them."""
     if not isinstance(matrix, str | os.PathLike):
         unit = str(getattr(matrix, "unit", "") or "")
         values = plain(getattr(matrix, "value", matrix))
@@ -101,51 +103,91 @@ def read_given(
         if Path(where).is_dir():
             raise UnreadableFile("is a folder", remedy="give a file of positions", path=where)
         places_file = read_stored(where)
-        found = places_in(places_file)
+        found = positions_in(places_file)
         if found is None:
             remedy = f"give columns X and Y, or an (n, 2) or (2, n) array; {there_is(places_file)}"
             raise FormatError("holds no positions", remedy=remedy, path=where)
     elif found is None:
-        found, where = places_in(stored), stored.path
-    positions = _positions(found, where, surface)
+        found, where = positions_in(stored), stored.path
+    positions = _in_metres(found, where, surface)
     return Given(item, stored.path, "", stored.header, positions, where, which)
 
 
 def _in_folder(
     path: Path, coordinates: Any, mirror: Layout | None, dataset: str | None, surface: Surface
 ) -> Given:
-    by_path = isinstance(coordinates, str | os.PathLike)
-    folder = read_folder(path, Path(coordinates) if by_path else None, mirror)
-    found: Any = folder.places if coordinates is None or by_path else coordinates
-    where = os.fspath(folder.where or "")
-    lengths, arc = surface.lengths or folder.unit or None, surface.arc or folder.arc
-    surface = Surface(lengths, surface.curvature, arc)
-    positions = _positions(found, where, surface)
-    by_ring = _positions(folder.by_ring if found is folder.places else None, where, surface)
+    """Read a supervisor's folder, or a configuration folder of opticalib.
+
+    Positions are in a file of their own, or in the folder, or in one of the configuration.
+    """
+    if not (path / MATRIX).is_file():
+        raise FormatError(
+            "is a folder of no layout that is known here",
+            remedy=f"give the matrix itself, or a folder with {MATRIX} and {CHANNELS}, or with"
+            f" {MATRIX} and {OPTICALIB_POSITIONS}",
+            path=path,
+        )
+    stored = read_stored(path / MATRIX)
+    item, which = matrix_in(stored, dataset)
+    own = Path(coordinates) if isinstance(coordinates, str | os.PathLike) else None
+    conf, file = (own, None) if own is not None and own.is_dir() else (None, own)
+    found: Any = coordinates
+    if file is not None:
+        found = positions_in(read_stored(file))
+    elif conf is not None:
+        found = None
+    kind, how, channels, by_ring = "opticalib's configuration", "", None, None
+    if (path / CHANNELS).is_file():
+        kind, channels = "a supervisor's folder", channels_of(path)
+        if found is None and file is None:
+            found, file, how = places_of(path, conf, mirror, channels)
+        elif file is not None and found is not None:
+            every, found = found, of_channels(found, channels, file)
+            numbers = find_file(NUMBERS, path)
+            if found is not every and numbers is not None:
+                by_ring = of_channels(every, numbers_of(channels, numbers), file)
+    elif found is None and file is None:
+        file = find_file(OPTICALIB_POSITIONS, path, conf)
+        found = mirror if file is None else positions_in(read_stored(file))
+    if file is not None and file.name == POSITIONS:
+        surface = Surface(surface.lengths or "mm", surface.curvature, True)
+    where = os.fspath(file or "")
+    positions, by_ring = (_in_metres(each, where, surface) for each in (found, by_ring))
     if by_ring is not None:
         by_ring = replace(by_ring, notes=(f"in the order of {NUMBERS}", *by_ring.notes))
-    if positions is not None and folder.how:
-        positions = replace(positions, notes=(folder.how, *positions.notes))
-    (item, which), header = matrix_in(folder.matrix, dataset), folder.matrix.header
-    kind, channels = f", {folder.kind}", folder.channels
-    return Given(item, os.fspath(path), kind, header, positions, where, which, channels, by_ring)
+    if positions is not None and how:
+        positions = replace(positions, notes=(how, *positions.notes))
+    return Given(
+        item,
+        os.fspath(path),
+        f", {kind}",
+        stored.header,
+        positions,
+        where,
+        which,
+        channels,
+        by_ring,
+    )
 
 
-def _positions(found: Any, path: str, surface: Surface) -> Positions | None:
-    """Return positions in metres of what was found: places, a layout, an array or nothing."""
+def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
+    """Return positions in metres of what was found: in a file, a layout, an array or nothing."""
     if found is None:
         return None
     if isinstance(found, Layout):
         note = f"as laid out, NZ {found.nz.min():.4f} .. {found.nz.max():.4f}"
-        return Positions(found.x, found.y, found.nz, found.id, found.enabled, (note,))
-    if not isinstance(found, Places):
-        unit = str(getattr(found, "unit", "") or "")
-        found = as_places(plain(getattr(found, "value", found)), unit)
-    return in_metres(found, surface.lengths, surface.curvature, path, arc=surface.arc)
+        return Positions(found.x, found.y, "m", found.id, found.nz, found.enabled, notes=(note,))
+    with naming(path or "positions"):
+        if not isinstance(found, Positions):
+            values = np.asarray(plain(getattr(found, "value", found)), dtype=float)
+            found = positions_of(Item(values, str(getattr(found, "unit", "") or "")))
+        return in_metres(found, surface)
 
 
-def date_of(given: Given) -> tuple[datetime.datetime, str]:
+def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.datetime, str]:
     """Return when it was measured (UTC), and what says so."""
+    if told is not None:
+        return told.replace(tzinfo=told.tzinfo or datetime.UTC), "as told"
     track = str(given.header.get("TRACKNUM", "")), Path(given.path).name
     for text in track:
         match = TRACK_NUMBER.search(text)

@@ -8,24 +8,36 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse.csgraph
 from numpy.typing import ArrayLike, NDArray
 
-from truenewton.arrays import Array, taking_units
+from truenewton.arrays import Array
 from truenewton.calibration.exclusion import require_known
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
-from truenewton.foreign.choice import MOST_NAMED
-from truenewton.foreign.given import Given, Surface, date_of, read_given
-from truenewton.foreign.positions import Positions
-from truenewton.foreign.soundness import Judged, OtherOrder, judge, silent_actuators, turned_sign
-from truenewton.foreign.stiffness_unit import in_newton_per_metre
-from truenewton.foreign.stored import read_stored
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.matrix.facts import MatrixFacts
+from truenewton.estimation.matrix.order import (
+    MIN_EXPLAINED_COUPLING,
+    balance_effects,
+    refuse_compliance,
+    share_by_distance,
+)
+from truenewton.estimation.matrix.screen import released, screen_matrix
+from truenewton.importers.inputs import Given, date_of, read_given
+from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_newton_per_metre
+from truenewton.importers.stored import read_stored
+from truenewton.quantities import taking_units
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import listed, named
+from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout, layout
 
 PathLike = str | os.PathLike[str]
+MIN_ORDER_SHARE = 0.2  # of the couplings, explained by distance
+MAX_NAMES = 12  # of actuators in a line
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,7 +87,7 @@ def stiffness_from(
     ----------
     matrix
         (n, n) forces of actuators, in rows, per displacement of sensors: an array, Quantity, file
-        (FITS, .npy, .npz, CSV, text, HDF5, YAML, .mat, .sav), supervisor's or opticalib's folder.
+        (FITS, .npy, .npz, CSV, text, HDF5, .mat, .sav), supervisor's or opticalib's folder.
     coordinates
         (n, 2) or (2, n) positions: an array, Quantity, layout, file, or folder of a supervisor's
         configuration; None where they stand beside the matrix.
@@ -110,12 +122,12 @@ def stiffness_from(
         k, unit_line = in_newton_per_metre(k, unit, given.item.unit)
         k, sign = turned_sign(k.T if transpose else k)
         ways = list(_ways(given, rows, _names(ids, given.channels)))
-        when, how = date_of(given) if date is None else (_in_utc(date), "as told")
+        when, how = date_of(given, date)
     except TrueNewtonError as error:
         raise located(error, given.path or None) from None
     name = instrument or given.name
     try:
-        check = partial(_checked, k, name=name, when=when, path=given.path, exclude=exclude)
+        check = partial(_checked, k, name=name, when=when, exclude=exclude)
         record, judged, positions, noted = _first_that_fits(ways, check)
     except TrueNewtonError as error:
         of_places = isinstance(error, OtherOrder | GeometryError) and given.where
@@ -134,15 +146,11 @@ def stiffness_from(
     return Imported(record, tuple(said), judged.transposed, judged.balanced)
 
 
-Checked = tuple[StiffnessMatrix, Judged, Positions, list[tuple[str, str]]]
-
-
 def _checked(
     k: Array,
     positions: Positions,
     name: str,
     when: datetime.datetime,
-    path: str,
     exclude: Sequence[int],
 ) -> Checked:
     """Return a matrix [N/m] with its positions, judged, and lines of what of it was left out."""
@@ -154,7 +162,7 @@ def _checked(
     if lost.any():
         noted.append(("left out", f"{np.count_nonzero(lost)} that are off and stand nowhere"))
     if not np.isfinite(k).all():
-        k, said = _without_nan(k, positions, path)
+        k, said = _without_nan(k, positions)
         noted.append(("unread", said))
     of = layout(
         positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
@@ -169,15 +177,13 @@ def _checked(
 
 def _first_that_fits(ways: list[Positions], check: Callable[[Positions], Checked]) -> Checked:
     """Return the first of several orders of positions in which couplings follow the distance."""
-    for way in ways[:-1]:
+    first: TrueNewtonError | None = None
+    for way in ways:
         try:
             return check(way)
-        except (OtherOrder, GeometryError):
-            continue
-    try:
-        return check(ways[-1])
-    except (OtherOrder, GeometryError):
-        return check(ways[0])  # whose fault is said
+        except (OtherOrder, GeometryError) as error:
+            first = first or error
+    raise first or FormatError("there are no positions with it")
 
 
 def _without_circle(error: TrueNewtonError, given: Given) -> TrueNewtonError:
@@ -185,13 +191,9 @@ def _without_circle(error: TrueNewtonError, given: Given) -> TrueNewtonError:
     positions = given.positions
     if not isinstance(error, OtherOrder) or positions is None or positions.ids is not None:
         return error
-    there = f"; there is {', '.join(positions.columns[:MOST_NAMED])}" if positions.columns else ""
+    there = f"; there is {', '.join(positions.columns[:MAX_NAMED])}" if positions.columns else ""
     remedy = "put them in the order of the matrix, or give their numbers in a column named ID"
     return error.changed(remedy=remedy + there)
-
-
-def _in_utc(date: datetime.datetime) -> datetime.datetime:
-    return date if date.tzinfo else date.replace(tzinfo=datetime.UTC)
 
 
 def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int64] | None, str]:
@@ -308,14 +310,8 @@ def _nowhere(positions: Positions, silent: NDArray[np.bool_]) -> NDArray[np.bool
     return np.asarray(unknown | ((count[first] > 1) & silent))
 
 
-def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]:
-    """Return a matrix without the one sensor or actuator of which it has NaN, and what was done.
-
-    Raises
-    ------
-    FormatError
-        There are more.
-    """
+def _without_nan(k: Array, positions: Positions) -> tuple[Array, str]:
+    """Return a matrix without the one sensor or actuator of which it has NaN, and what was done."""
     wrong = ~np.isfinite(k)
     ids = positions.ids if positions.ids is not None else np.arange(1, len(k) + 1)
     sensors, actuators = wrong.any(axis=0), wrong.any(axis=1)
@@ -326,7 +322,6 @@ def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]
             f"{np.count_nonzero(wrong)} elements are NaN or infinite, the first of actuator"
             f" {ids[i]} and sensor {ids[j]}",
             remedy="measure them, or set row and column of such actuators to zero",
-            path=path or None,
         )
     of = f"{'sensor' if one is sensors else 'actuator'} {ids[one][0]}"
     count = np.count_nonzero(wrong)
@@ -335,3 +330,87 @@ def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]
     k = k.copy()
     (k.T if one is sensors else k)[one] = 0.0
     return k, said
+
+
+class OtherOrder(FormatError):
+    """Positions are in another order than rows and columns."""
+
+
+class Judged(NamedTuple):
+    """What was found: lines of what, and how it is; which actuators are off; is it turned.
+
+    Balanced are forces as commanded, so that nothing tells alpha.
+    """
+
+    lines: tuple[tuple[str, str], ...]
+    off: NDArray[np.bool_]
+    transposed: bool
+    balanced: bool
+
+
+Checked = tuple[StiffnessMatrix, Judged, Positions, list[tuple[str, str]]]
+
+
+def silent_actuators(k: Array) -> NDArray[np.bool_]:
+    """Return (n,) whether row and column of an (n, n) matrix hold nothing: zeros, or NaN."""
+    empty = ~(np.isfinite(k) & (k != 0.0))
+    return np.asarray(empty.all(axis=0) & empty.all(axis=1))
+
+
+def turned_sign(k: Array) -> tuple[Array, str]:
+    """Return an (n, n) stiffness whose actuators resist their displacement, and what was done."""
+    own = np.diag(k)
+    against = np.count_nonzero(own < 0.0)
+    if against <= np.count_nonzero(own > 0.0):
+        return k, "positive, as it should be"
+    return -k, "negative: turned (forces on the mirror, positive upward, hold a displacement)"
+
+
+def judge(matrix: StiffnessMatrix) -> Judged:
+    """Judge orientation, order and single actuators of a matrix."""
+    refuse_compliance(MatrixFacts.of(matrix), matrix.layout)
+    matrix = released(matrix)
+    measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
+    k = matrix.used_stiffness[np.ix_(measured, measured)]
+    facts = MatrixFacts(k, comparable_arms(matrix.layout)[:, measured])
+    balanced = tuple(balance_effects(MatrixFacts.of(matrix)))
+    lines = [("orientation", _orientation(facts))]
+    lines += [("balance", f"{each.name}; {each.remedy}") for each in balanced]
+    share = share_by_distance(k, facts.arms)
+    if share < MIN_ORDER_SHARE and len(k) >= 20:
+        raise OtherOrder(
+            f"positions are in another order than rows and columns: {100 * max(share, 0.0):.0f} %"
+            " of the couplings follow the distance, where a mirror's do to 80 %",
+            remedy="put them in the order of the matrix, or match them by ID (--ids)",
+            got=share,
+        )
+    if np.isfinite(share):
+        doubt = "" if share > MIN_EXPLAINED_COUPLING else ": LOW, check numbering and places"
+        lines.append(("order", f"{100 * share:.0f} % of the couplings follow the distance{doubt}"))
+    screened = screen_matrix(matrix)
+    gone = np.zeros(matrix.layout.n, dtype=np.bool_)
+    gone[matrix.layout.enabled] = ~measured
+    off = gone if not screened.pushing else np.zeros_like(gone)
+    if gone.any():
+        what = "disabled" if not screened.pushing else "left enabled: around them columns do not"
+        what += " balance, as if they had pushed" if screened.pushing else ""
+        off_ids, zero = listed(matrix.layout.id[gone], MAX_NAMES), "rows and columns of zeros"
+        lines.append(("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {off_ids}"))
+    lines += [("do not fit", each.fault) for each in screened.unsure]
+    left_out = [each for each in screened.effects if each.code == Code.ACTUATOR_MISFIT]
+    for reason in dict.fromkeys(each.detail for each in left_out):
+        ids = [i for each in left_out if each.detail == reason for i in each.actuators]
+        which = named("actuator", ids, MAX_NAMES)
+        lines.append(("do not fit", f"{which}: {reason} (calibrate leaves them out)"))
+    return Judged(tuple(lines), off, facts.looks_transposed, bool(balanced))
+
+
+def _orientation(facts: MatrixFacts) -> str:
+    figures = f"a rigid motion costs {facts.rigid_cost:.2g} of the own stiffness, columns miss"
+    figures += f" balance by {facts.imbalance:.2g}"
+    if facts.looks_transposed:
+        return (
+            f"LOOKS TRANSPOSED: {figures}; [i, j] is the force of actuator i per displacement of"
+            " sensor j, else it lies the other way round (--transpose)"
+        )
+    return f"as it should be: {figures}"

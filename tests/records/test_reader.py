@@ -5,7 +5,7 @@ import gzip
 import pytest
 
 from truenewton.errors import FormatError
-from truenewton.records.opened import open_by_worker
+from truenewton.records.reader import open_by_worker
 
 
 def test_a_worker_refuses_a_gzipped_file_of_which_it_cannot_read_parts(p45_folder, tmp_path):

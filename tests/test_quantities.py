@@ -10,13 +10,14 @@ from astropy.table import QTable, Table
 
 import truenewton as tn
 from truenewton.acquisition.plan import AssumedDrift, MirrorLimits, PlannedShapes
-from truenewton.arrays import freeze, in_unit
+from truenewton.arrays import freeze
 from truenewton.bench.protocol import BenchChoice
 from truenewton.errors import FormatError
 from truenewton.files.format import FileFormat, ImageFormat, TableFormat
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import MirrorNumbers, ring
-from truenewton.records.formats import CYCLE, STIFFNESS
+from truenewton.quantities import in_unit
+from truenewton.records.file import CYCLE, STIFFNESS
 from truenewton.statics.layout import rings, spherical_rings
 
 DATE = datetime.datetime(2026, 1, 2, tzinfo=datetime.UTC)

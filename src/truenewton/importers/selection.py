@@ -1,0 +1,330 @@
+"""Which of a file's arrays is the matrix, which are the positions, and in which units they are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import astropy.units as u
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import FormatError, naming
+from truenewton.estimation.matrix.order import refuse_no_stiffness
+from truenewton.importers.stored import LENGTHS, Item, Stored
+
+MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
+POSITION_NAMES = ("coordinates", "coords", "act_coordinates", "act_coord", "positions", "xy")
+UNIT = re.compile(rf"(.*?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b({LENGTHS})[\])]?")
+POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
+ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
+            "channel", "ch")  # fmt: skip
+MAX_NAMED = 8  # arrays and columns of a file
+
+
+# Farthest actuator from the middle of all, in metres and in what it looks like otherwise.
+MAX_COORDINATE = 1e12  # in any unit: no place
+LIKELY_SIZES = {"m": (0.02, 5.0), "mm": (40.0, 5e3), "um": (2e4, 5e6)}
+LIKELY_STIFFNESS = (2e4, 1e9)  # median own stiffness of a mirror [N/m]
+MAX_ELEMENT = 1e30  # element in any unit
+NOMINAL_STIFFNESS = 1e6  # that given to a matrix whose unit is unknown [N/m]
+
+
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Positions as they stand in a file, or in metres.
+
+    Attributes
+    ----------
+    x, y
+        (n,) in the unit.
+    unit
+        That the file declares, or ''.
+    ids, nz, enabled
+        (n,) or None; NZ is the cosine between force and +z.
+    columns
+        Names of all columns of numbers in the file, if positions have names.
+    notes
+        What was found and done, in words.
+    """
+
+    x: Any
+    y: Any
+    unit: str = ""
+    ids: NDArray[np.int64] | None = None
+    nz: Any = None
+    enabled: NDArray[np.bool_] | None = None
+    columns: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def part(self, rows: Any) -> Positions:
+        """Return those of some rows."""
+        some: dict[str, Any] = {
+            name: None if (values := getattr(self, name)) is None else np.asarray(values)[rows]
+            for name in ("x", "y", "nz", "ids", "enabled")
+        }
+        return replace(self, **some)
+
+
+def _squeezed(stored: Stored) -> dict[str, Item]:
+    """Return the arrays of a file without axes of length 1."""
+    return {name: Item(np.squeeze(item.values), item.unit) for name, item in stored.arrays.items()}
+
+
+def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
+    """Return the (n, n) matrix of a file, or (shells, n, n); which of several, in words."""
+    with naming(stored.path or None):
+        items = _squeezed(stored)
+        if dataset is not None:
+            named = [item for name, item in items.items() if name.lower() == dataset.lower()]
+            if not named:
+                raise FormatError(f"has no array '{dataset}'", remedy=there_is(stored))
+            items = {dataset: named[0]}
+        square = {
+            name: item
+            for name, item in items.items()
+            if item.values.ndim in (2, 3)
+            and item.values.shape[-1] == item.values.shape[-2]
+            and item.values.shape[-1] > 2
+        }
+        every = square
+        if len(square) > 1:
+            known = {n: i for n, i in square.items() if n.lower().split("/")[-1] in MATRIX_NAMES}
+            square = known or square
+        if len(square) != 1:
+            fault = f"holds {len(square)} square matrices" if square else "holds no square matrix"
+            many = "say which by --dataset (dataset=): " + ", ".join(square)
+            raise FormatError(fault, remedy=many if square else _none_square(stored))
+        ((name, item),) = square.items()
+        return item, f", '{name}' of {', '.join(every)}" if len(every) > 1 else ""
+
+
+def positions_in(stored: Stored) -> Positions | None:
+    """Return the positions of a file: columns X and Y, or an (n, 2) or (2, n) array; or None."""
+    with naming(stored.path or None):
+        every = _squeezed(stored)
+        vectors = {name: item for name, item in every.items() if item.values.ndim == 1}
+        named = _by_columns({**vectors, **stored.columns})
+        if named is not None:
+            return named
+        arrays = {name: item for name, item in every.items() if item.values.ndim == 2}
+        known = {n: i for n, i in arrays.items() if n.lower().split("/")[-1] in POSITION_NAMES}
+        fitting = known or {n: i for n, i in arrays.items() if min(i.values.shape) in (2, 3)}
+        if not fitting:
+            return None
+        if len(fitting) > 1:
+            remedy = "give positions in a file of their own"
+            several = f"several arrays may be positions: {', '.join(fitting)}"
+            raise FormatError(several, remedy=remedy)
+        return positions_of(next(iter(fitting.values())))
+
+
+def positions_of(item: Item) -> Positions:
+    """Return positions of an (n, 2) or (2, n) array, or of columns ID, X, Y."""
+    values = item.values
+    if values.ndim != 2 or (2 not in values.shape and 3 not in values.shape):
+        raise FormatError(
+            f"holds an array of shape {values.shape}, which are no positions",
+            remedy="give (n, 2) or (2, n), or columns named X and Y",
+        )
+    if values.shape[1] not in (2, 3) or (values.shape[0] in (2, 3) and values.shape[1] > 3):
+        values = values.T
+    if values.shape[1] == 3:
+        first = values[:, 0]
+        if not _integers(first) or np.unique(first).size != first.size:
+            raise FormatError(
+                "has three columns without names, the first no numbers of actuators",
+                remedy="name them in the first line: X, Y, NZ or ID, X, Y",
+            )
+        return Positions(values[:, 1], values[:, 2], item.unit, ids=first.astype(np.int64))
+    return Positions(values[:, 0], values[:, 1], item.unit)
+
+
+def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
+    """Return positions from columns whose names say what they are."""
+    known: dict[str, Item] = {}
+    for name, item in columns.items():
+        plain, unit = _name_and_unit(name)
+        known.setdefault(plain, Item(item.values, item.unit or unit))
+    if "x" not in known or "y" not in known:
+        if POLAR[0].intersection(known) and POLAR[1].intersection(known):
+            raise FormatError(
+                f"holds polar coordinates, {' and '.join(columns)}",
+                remedy="give X and Y, both in a unit of length",
+            )
+        return None
+    x, y = known["x"], known["y"]
+    numbers = [known[n].values for n in ID_NAMES if n in known and _integers(known[n].values)]
+    nz, enabled = known.get("nz"), known.get("enabled")
+    if y.unit != x.unit:
+        raise FormatError(f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit")
+    return Positions(
+        x.values,
+        y.values,
+        x.unit,
+        numbers[0].astype(np.int64) if numbers else None,
+        None if nz is None else nz.values,
+        None if enabled is None else enabled.values != 0,
+        tuple(columns),
+    )
+
+
+def _name_and_unit(name: str) -> tuple[str, str]:
+    """Return what a column is for and its unit, of names as 'x [mm]', 'x / mm', 'X_mm'."""
+    text = name.strip().lower()
+    match = UNIT.fullmatch(text) or re.fullmatch(rf"(.*?)_({LENGTHS})", text)
+    plain, unit = (match[1], match[2]) if match and match[1] else (text, "")
+    for word in ("pos", "position", "coord", "coordinate", "act", "actuator"):
+        for axis in "xy":
+            if re.sub(r"[\s_]", "", plain) in (axis + word, word + axis):
+                return axis, unit
+    return plain.strip(" _[]()"), unit
+
+
+def _integers(values: Any) -> bool:
+    return bool(np.isfinite(values).all() and (values == np.round(values)).all())
+
+
+def _none_square(stored: Stored) -> str:
+    """Return what to do about a file without a square matrix."""
+    shapes = [item.values.shape for item in stored.arrays.values()]
+    twice = any(len(shape) == 2 and shape[1] == 2 * shape[0] for shape in shapes)
+    commas = ": where commas are decimal ones too, put semicolons between columns" if twice else ""
+    return f"give as many rows as columns{commas}; {there_is(stored)}"
+
+
+def there_is(stored: Stored) -> str:
+    """Say which arrays and columns of numbers a file has."""
+    parts = [f"{n or 'one'} {item.values.shape}" for n, item in stored.arrays.items()]
+    parts += [f"column '{name}'" for name in stored.columns]
+    return f"there is {', '.join(parts[:MAX_NAMED])}" if parts else "there are no arrays in it"
+
+
+@dataclass(frozen=True)
+class Surface:
+    """How positions are to be taken.
+
+    Attributes
+    ----------
+    lengths
+        Their unit, unless the file declares it or it can be told from their size.
+    curvature
+        Radius R of the surface [m], or None: then NZ is that of the file, or 1.
+    arc
+        Radii are measured along the surface, R t, and not from the axis, R sin t.
+    """
+
+    lengths: str | None
+    curvature: float | None
+    arc: bool
+
+
+def in_metres(positions: Positions, surface: Surface) -> Positions:
+    """Return positions in metres; on a curved surface with their directions."""
+    lengths, curvature, arc = surface.lengths, surface.curvature, surface.arc
+    x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
+    if x.shape != y.shape:
+        raise FormatError(f"holds {x.size} X and {y.size} Y", remedy="give both for every actuator")
+    x, y = (np.where(np.abs(values) < MAX_COORDINATE, values, np.nan) for values in (x, y))
+    if not np.isfinite(x + y).any():
+        raise FormatError("holds no finite positions", remedy="give X and Y")
+    unit, how = lengths or positions.unit, "as told" if lengths else "as declared"
+    if not unit:
+        unit, how = _likeliest_unit(x, y), "by their size"
+    factor = _factor(unit, "m", "positions")
+    x, y = x * factor, y * factor
+    notes, nz = [f"{unit} {how}"], positions.nz
+    if curvature is not None:
+        if not 0.0 < curvature < np.inf:
+            raise FormatError(
+                f"the curvature radius is {curvature:g} m", remedy="give R in m, positive"
+            )
+        radius = np.hypot(x, y)
+        if np.nanmax(radius) >= (np.pi / 2 if arc else 1.0) * curvature:
+            raise FormatError(
+                f"an actuator stands {np.nanmax(radius):.3g} m from the axis of a surface of R ="
+                f" {curvature:.3g} m",
+                remedy="check the unit of positions, and R in m",
+            )
+        sine = np.sin(radius / curvature) if arc else radius / curvature
+        shrunk = np.divide(sine * curvature, radius, out=np.ones_like(radius), where=radius > 0)
+        x, y, nz = x * shrunk, y * shrunk, np.sqrt(1.0 - sine**2)
+        notes.append(f"R {curvature:g} m{', radii along the surface' if arc else ''}")
+    elif nz is None:
+        notes.append("NZ 1, a flat mirror (--curvature R for another)")
+    if nz is not None:
+        notes.append(f"NZ {np.nanmin(nz):.4f} .. {np.nanmax(nz):.4f}")
+    return replace(positions, x=x, y=y, unit="m", nz=nz, notes=tuple(notes))
+
+
+def _factor(unit: str, want: str, what: str) -> float:
+    """Return a factor from a unit by name to the one wanted."""
+    try:
+        return float(u.Unit(unit).to(want))
+    except (ValueError, TypeError):
+        example = "N/um" if want == "N/m" else "mm"
+        steps = ", or 'unknown' for steps of electronics" if want == "N/m" else ""
+        raise FormatError(
+            f"the unit of {what} is '{unit}'", remedy=f"give one as {example}{steps}"
+        ) from None
+
+
+def _likeliest_unit(x: Array, y: Array) -> str:
+    """Return the unit that makes positions those of a mirror."""
+    size = float(np.nanmax(np.hypot(x - np.nanmean(x), y - np.nanmean(y)), initial=0.0))
+    fitting = [unit for unit, (least, most) in LIKELY_SIZES.items() if least <= size < most]
+    if not fitting:
+        raise FormatError(
+            f"positions reach {size:.3g} from their middle, in no unit that is declared",
+            remedy="say which by --lengths (lengths=), as mm",
+        )
+    return fitting[0]
+
+
+def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Array, str]:
+    """Return an (n, n) matrix in N/m, and what was taken for its unit: as told, or as declared.
+
+    NaN is where nothing was measured.
+    """
+    most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
+    if most > MAX_ELEMENT:
+        raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again", got=most)
+    if not np.isfinite(k).any():
+        raise FormatError("holds no finite number", remedy="measure it again")
+    refuse_no_stiffness(np.nan_to_num(k, posinf=0.0, neginf=0.0))
+    own = np.abs(np.diag(k))
+    own = own[np.isfinite(own) & (own > 0.0)]
+    typical = float(np.median(own)) if own.size else 0.0
+    if not typical:
+        raise FormatError(
+            "is zero on its diagonal", remedy="give a stiffness or feed-forward matrix"
+        )
+    if unit == "unknown":
+        said = f"unit unknown: its median own stiffness is called {NOMINAL_STIFFNESS:g} N/m;"
+        said += " alpha does not mind, forces and modes are in that unit"
+        return k * (NOMINAL_STIFFNESS / typical), said
+    said = unit or declared
+    if said:
+        factor = _factor(said, "N/m", "the matrix")
+        how = f"as {'told' if unit else 'declared'}: a median own stiffness of"
+        how += f" {abs(factor) * typical:.3g} N/m"
+        doubt = "" if _is_likely(abs(factor) * typical) else ", UNLIKELY of a mirror: check it"
+        return k * factor, f"{said} {how}{doubt}"
+    if not _is_likely(typical):
+        per = {"N/um": 1e6, "N/mm": 1e3, "mN/um": 1e3, "N/nm": 1e9, "uN/nm": 1e3}
+        fitting = [name for name, f in per.items() if _is_likely(typical * f)]
+        raise FormatError(
+            f"declares no unit, and a median own stiffness of {typical:.3g} N/m is no mirror's",
+            remedy=f"say which by --unit (unit=), as {', '.join((*fitting, 'unknown'))}; of"
+            " displacement per force give the inverse",
+            got=typical,
+        )
+    return k, f"N/m, as the median own stiffness is {typical:.3g}"
+
+
+def _is_likely(stiffness: float) -> bool:
+    """Tell whether a median own stiffness [N/m] may be a mirror's."""
+    return LIKELY_STIFFNESS[0] <= stiffness < LIKELY_STIFFNESS[1]

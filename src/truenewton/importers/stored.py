@@ -1,0 +1,364 @@
+"""Numbers in files of any kind that is read here: its first bytes tell which.
+
+Of a text file, columns stand between commas, semicolons, tabs or blanks; where one of the others
+does, a comma is a decimal one. What begins with #, ; % or ! is a comment. An LBT supervisor's array
+begins with its type and sizes (`float 672`), the first index fastest.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located
+from truenewton.files.content import Image, Table
+from truenewton.files.fits import START, read_fits
+from truenewton.files.hdf5 import import_h5py, unit_of
+from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain
+from truenewton.rounding import counted
+
+COMMENT = "#;%!"
+ECSV = "# %ECSV"
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
+TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
+LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
+UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
+MAX_WORD_COLUMNS = 16  # columns, of which some may be words
+
+
+class Item(NamedTuple):
+    """Numbers and the unit that their file declares, or ''; masked ones are NaN."""
+
+    values: NDArray[np.float64]
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What a file holds.
+
+    Attributes
+    ----------
+    path
+        Where.
+    arrays
+        Of one dimension or more, by name; that of a file which has no names is ''.
+    columns
+        Of tables, (rows,), by name.
+    header
+        Keywords of a FITS file.
+    """
+
+    path: str
+    arrays: Mapping[str, Item] = field(default_factory=dict)
+    columns: Mapping[str, Item] = field(default_factory=dict)
+    header: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_stored(path: str | os.PathLike[str]) -> Stored:
+    """Read all numbers of a file."""
+    path = os.fspath(path)
+    try:
+        with open_plain(path) as file:
+            start = file.read(16)
+        for magic, read in READERS.items():
+            if start.startswith(magic):
+                return read(path)
+        values, columns = read_text(path)
+        arrays = {} if values is None else {"": Item(values)}
+        return Stored(path, arrays, {name: Item(column) for name, column in columns.items()})
+    except TrueNewtonError as error:
+        raise located(error, path) from None
+    except Exception as error:  # a damaged file can raise nearly anything inside its library
+        told = " ".join(str(error).split())[:80]
+        remedy = "write it again, or give FITS, .npy or text"
+        raise UnreadableFile(f"cannot be read ({told})", remedy=remedy, path=path) from error
+
+
+def plain(values: Any) -> NDArray[np.float64] | None:
+    """Return (...,) numbers as floats, masked ones NaN; None of what is no real numbers."""
+    if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiu":
+        return np.asarray(np.ma.filled(values.astype(float), np.nan))
+    numbers = np.asarray(values)
+    return numbers.astype(np.float64) if numbers.dtype.kind in "fiub" else None
+
+
+def _gathered(path: str, named: Mapping[str, Any]) -> Stored:
+    """Return what of named values is numbers: arrays of one dimension or more."""
+    arrays = {}
+    for name, value in named.items():
+        numbers = plain(value)
+        if numbers is not None and numbers.ndim > 0:
+            arrays[name] = Item(numbers)
+    return Stored(path, arrays)
+
+
+def _fits(path: str) -> Stored:
+    file = read_fits(path)
+    arrays: dict[str, Item] = {}
+    columns: dict[str, Item] = {}
+    for name, part in file.extensions.items():
+        if isinstance(part, Image):
+            numbers = plain(part.data)
+            if numbers is not None:
+                arrays[name] = Item(numbers, part.unit)
+        elif isinstance(part, Table):
+            for column, (values, unit) in part.columns.items():
+                numbers = plain(np.asarray(values))
+                if numbers is not None:
+                    columns.setdefault(column, Item(numbers, unit))
+        else:
+            raise part
+    return Stored(path, arrays, columns, file.header)
+
+
+def _numpy(path: str) -> Stored:
+    held = np.load(path, allow_pickle=False)
+    return _gathered(path, {"": held} if isinstance(held, np.ndarray) else dict(held))
+
+
+def _hdf5(path: str) -> Stored:
+    h5py = import_h5py(path)
+    found: dict[str, Item] = {}
+
+    def take(name: str, held: Any) -> None:
+        if isinstance(held, h5py.Dataset) and held.dtype.kind in "fiub" and held.ndim:
+            # MATLAB's arrays of version 7.3 lie here with their axes reversed.
+            values = held[()].T if "MATLAB_class" in held.attrs else held[()]
+            found[name] = Item(np.asarray(values, dtype=np.float64), unit_of(held))
+
+    with h5py.File(path, "r") as file:
+        file.visititems(take)
+    return Stored(path, found)
+
+
+def _matlab(path: str) -> Stored:
+    import scipy.io
+
+    if b"MATLAB 7.3" in Path(path).read_bytes()[:128]:
+        return _hdf5(path)
+    held = scipy.io.loadmat(path)
+    return _gathered(path, {k: v for k, v in held.items() if not k.startswith("__")})
+
+
+def _idl(path: str) -> Stored:
+    import scipy.io
+
+    with warnings.catch_warnings(action="ignore"):
+        return _gathered(path, scipy.io.readsav(path))
+
+
+READERS = {
+    START: _fits,
+    GZIP: _fits,
+    b"\x93NUMPY": _numpy,
+    b"PK\x03\x04": _numpy,
+    b"\x89HDF": _hdf5,
+    b"MATLAB": _matlab,
+    b"SR\x00": _idl,
+}
+
+
+TextTable = tuple[NDArray[Any] | None, dict[str, NDArray[Any]]]
+
+
+class Line(NamedTuple):
+    """A line as it stands in its file, and its number there, from 1."""
+
+    number: int
+    text: str
+
+
+def text_of(path: str | os.PathLike[str]) -> str:
+    """Return the text of a file."""
+    with open_plain(path) as file:
+        raw = file.read(MAX_UNPACKED_BYTES + 1)
+        if len(raw) > MAX_UNPACKED_BYTES:
+            fault = f"is longer than {MAX_UNPACKED_BYTES >> 30} GB"
+            raise UnreadableFile(fault, remedy="give FITS, .npy or HDF5")
+        if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return raw.decode("utf-16", "replace")
+        if b"\0" in raw:
+            remedy = "give FITS, .npy, .npz, CSV or text, HDF5, .mat or .sav"
+            raise UnreadableFile("is of no kind that is read here", remedy=remedy)
+        try:
+            return raw.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return raw.decode("latin-1")
+
+
+def read_text(path: str | os.PathLike[str]) -> TextTable:
+    """Return (rows, columns) of a text file, and those columns that have a name and numbers.
+
+    The first has the shape of a type line, if there is one; it is None if a column holds words.
+    """
+    # A tab may stand for an empty cell in the corner, unless every line begins with one.
+    whole = text_of(path).splitlines()
+    if whole and whole[0].startswith(ECSV):  # units in its comments would be lost
+        remedy = "give CSV, with units in the names of its columns, as 'x [mm]'"
+        raise UnreadableFile("is ECSV", remedy=remedy)
+    every = [Line(number, text.strip(" ")) for number, text in enumerate(whole, 1) if text.strip()]
+    if all(line.text.startswith("\t") for line in every):
+        every = [Line(line.number, line.text.strip()) for line in every]
+    data = [line for line in every if line.text[0] not in COMMENT]
+    if not data:
+        raise FormatError("holds no numbers", remedy="give a file with numbers")
+    typed = TYPED.fullmatch(data[0].text)
+    if typed:
+        return _typed(typed[2], [line.text for line in data[1:]]), {}
+    between = _separators(data[-1].text)
+    if between.delimiter == ";":  # then it begins no comment
+        data = [line for line in every if line.text[0] not in COMMENT.replace(";", "")]
+    above: list[str] = []
+    while len(data) > 1 and not _has_number(data[1].text, between):  # a header of several lines
+        above, data = _cells(data[0].text, between), data[1:]
+    names = _cells(data[0].text, between)
+    if len(above) == len(names) and all(UNIT_CELL.fullmatch(name) for name in names):
+        names = [f"{name} {unit}".strip(" -") for name, unit in zip(above, names, strict=True)]
+    if _is_named_row(names, data[1:], between):
+        names = []
+    elif all(NUMBER.fullmatch(name) for name in (names if names[-1] else names[:-1] or names)):
+        comments = [line.text for line in every if line.text[0] in COMMENT]
+        names = _cells(comments[-1].lstrip(COMMENT), between) if comments else []
+    else:
+        data = data[1:]
+    if not data:
+        raise FormatError("holds a header and no numbers", remedy="give its rows")
+    if len(_cells(data[0].text, between)) <= MAX_WORD_COLUMNS:
+        return _narrow(data, between, names)
+    return _unlabelled(_wide(data, between), bool(names)), {}
+
+
+class Between(NamedTuple):
+    """What stands between columns, None for blanks; whether commas are decimal."""
+
+    delimiter: str | None
+    comma: bool
+
+
+def _separators(line: str) -> Between:
+    for delimiter in (";", "\t"):
+        if delimiter in line:
+            return Between(delimiter, "," in line)
+    if "," in line:
+        words = line.split()
+        if len(words) > 1 and all(DECIMAL_COMMA.fullmatch(w) or NUMBER.fullmatch(w) for w in words):
+            return Between(None, True)
+        return Between(",", False)
+    return Between(None, False)
+
+
+def _cells(line: str, between: Between) -> list[str]:
+    line = line.replace(",", ".") if between.comma else line
+    return [cell.strip().strip("'\"").strip() for cell in line.split(between.delimiter)]
+
+
+def _has_number(line: str, between: Between) -> bool:
+    return any(NUMBER.fullmatch(cell) for cell in _cells(line, between))
+
+
+def _is_named_row(cells: list[str], others: list[Line], between: Between) -> bool:
+    """Tell whether a first line is a row of numbers after its name, as the others are."""
+    if len(cells) < 3 or not all(map(NUMBER.fullmatch, cells[1:])) or not others:
+        return False
+    columns = np.diff([_float(cell) for cell in cells[1:]])  # 1 of a header that counts columns
+    begins = (_cells(line.text, between)[0] for line in others)
+    words = not any(NUMBER.fullmatch(cell) for cell in (cells[0], *begins))
+    return words and not (columns == 1.0).all()
+
+
+def _typed(sizes: str, lines: list[str]) -> NDArray[Any]:
+    shape = tuple(map(int, sizes.split()))[::-1]
+    words = " ".join(lines).split()
+    wrong = [word for word in words if not NUMBER.fullmatch(word)]
+    if wrong or len(words) != np.prod(shape):
+        fault = f"holds '{wrong[0]}'" if wrong else f"holds {len(words)} numbers"
+        remedy = f"give {' x '.join(map(str, shape))} numbers, as its first line says"
+        raise FormatError(fault, remedy=remedy)
+    return np.array([_float(word) for word in words]).reshape(shape)
+
+
+def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
+    rows = _alike(lines, between)
+    columns: list[NDArray[Any] | None] = []
+    for cells in zip(*rows, strict=True):
+        sound = all(not cell or NUMBER.fullmatch(cell) for cell in cells)
+        columns.append(np.array([_float(cell) for cell in cells]) if sound else None)
+    if not any(column is not None for column in columns):
+        raise FormatError("holds no numbers", remedy="give a file with numbers")
+    named = {}
+    every = len(_cells(lines[0].text, between))  # an empty last column, too
+    if len(names) == every or (len(names) >= len(columns) and not any(names[len(columns) :])):
+        named = {n: c for n, c in zip(names, columns, strict=False) if n and c is not None}
+    numbers = [column for column in columns if column is not None]
+    labelled = columns[0] is None and len(numbers) == len(columns) - 1 == len(rows) > 2
+    if len(numbers) < len(columns) and not labelled:
+        return None, named
+    return _unlabelled(np.array(numbers).T, bool(names)), named
+
+
+def _alike(lines: list[Line], between: Between) -> list[list[str]]:
+    """Return the cells of lines, as many in each, without a last column that is empty in all."""
+    rows = [_cells(line.text, between) for line in lines]
+    if len(rows[0]) > 1 and not any(row[-1] for row in rows):
+        rows = [row[:-1] for row in rows]
+    for row, line in zip(rows, lines, strict=True):
+        if len(row) != len(rows[0]):
+            raise FormatError(
+                f"line {line.number} has {counted(row, 'cell')}, line {lines[0].number} has"
+                f" {len(rows[0])}: '{line.text[:40]}'",
+                remedy="give every line as many; begin lines of words with #",
+            )
+    return rows
+
+
+def _wide(lines: list[Line], between: Between) -> NDArray[Any]:
+    """Return rows of numbers, without the words that name them in the first column."""
+    text = "\n".join(line.text for line in lines).replace('"', "")
+    try:
+        return np.loadtxt(
+            io.StringIO(text.replace(",", ".") if between.comma else text),
+            delimiter=between.delimiter, ndmin=2, comments=None,
+        )  # fmt: skip
+    except ValueError:
+        rows = _alike(lines, between)
+    first = 0 if any(NUMBER.fullmatch(row[0]) for row in rows) else 1
+    for row, line in zip(rows, lines, strict=True):
+        for column, cell in enumerate(row[first:], first + 1):
+            if not NUMBER.fullmatch(cell):
+                raise FormatError(
+                    f"line {line.number}, column {column} is '{cell[:40]}'",
+                    remedy="give a number there; begin lines of words with #",
+                )
+    return np.array([[_float(cell) for cell in row[first:]] for row in rows])
+
+
+def _float(cell: str) -> float:
+    """Return a number, an exponent of Fortran's with it; NaN of an empty cell."""
+    return float(cell.lower().replace("d", "e") or "nan")
+
+
+def _unlabelled(values: NDArray[Any], header: bool) -> NDArray[Any]:
+    """Return a square matrix without the numbers of its rows and columns, if it has such."""
+
+    def counts(numbers: NDArray[Any]) -> bool:
+        return bool(numbers.size and numbers[0] in (0, 1) and (np.diff(numbers) == 1).all())
+
+    rows, columns = values.shape
+    if header and columns == rows + 1 and counts(values[:, 0]):
+        return values[:, 1:]
+    if rows == columns + 1 and counts(values[0]):
+        return values[1:]
+    if rows == columns and rows > 2 and counts(values[0, 1:]) and counts(values[1:, 0]):
+        return values[1:, 1:]
+    return values

@@ -1,0 +1,210 @@
+"""Quantities: each is declared once, next to the record that holds it, with its unit and range.
+
+A class declares them as ``QUANTITIES``, by the names of its fields. `convert_quantities` takes off
+the units that a caller gives. `check_quantities` refuses numbers out of their range, where data
+enter.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.errors import FormatError
+
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
+MAX_MAGNITUDE = 1e15  # of any number in SI units, stiff glass included: its square stays finite
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a number means.
+
+    Attributes
+    ----------
+    unit
+        In which the record keeps it; '' of plain numbers.
+    low, high
+        Between which it lies, both included.
+    why
+        What to do about a number outside; by default what the range says.
+    fault
+        What is wrong then, as 'ADDED is {:g} N'; by default the name of the field and the number.
+    """
+
+    unit: str = ""
+    low: float = -MAX_MAGNITUDE
+    high: float = MAX_MAGNITUDE
+    why: str = ""
+    fault: str = ""
+
+    def check(self, value: Any, name: str = "") -> None:
+        """Refuse a number, or (nested) tuple of numbers, of which one is outside the range.
+
+        Raises
+        ------
+        FormatError
+        """
+        if -self.low == self.high == np.inf:  # any number, NaN where it is unknown
+            return
+        for number in _numbers(value):
+            if not self.low <= number <= self.high:
+                shown = list(value) if isinstance(value, tuple) else f"{number:g}"
+                raise FormatError(
+                    self.fault.format(number) if self.fault else f"{name} is {shown}",
+                    remedy=self._remedy(number),
+                    got=value,
+                    want=(self.low, self.high),
+                )
+
+    def _remedy(self, number: float) -> str:
+        if number > self.high == MAX_MAGNITUDE or number < self.low == -MAX_MAGNITUDE:
+            return f"check its unit; numbers are in SI units, up to {MAX_MAGNITUDE:g}"
+        if self.why:
+            turned = self.high <= 0.0 and self.low <= -number <= self.high
+            return f"{self.why}: store {-number:g}" if turned else self.why
+        if self.low < 0.0:
+            return f"give {self.low:g} to {self.high:g}"
+        words = "zero or more," if self.low == 0.0 else f"a positive number, {self.low:g}"
+        return f"give {words} to {self.high:g}"
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    """Yield a number, or those in tuples of tuples."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from _numbers(part)
+    elif value is not None:
+        yield value
+
+
+def convert_quantities(record: object) -> None:
+    """Take units off the quantities of a frozen dataclass, while it is made.
+
+    Raises
+    ------
+    FormatError
+        One is in a unit of another kind.
+    """
+    kinds = {field.name: str(field.type) for field in fields(record)}  # type: ignore[arg-type]
+    for name, quantity in type(record).QUANTITIES.items():  # type: ignore[attr-defined]
+        given = getattr(record, name)
+        value = in_unit(given, quantity.unit, name)
+        if value is not given:
+            if np.ndim(value) == 1 and "tuple" in kinds[name]:
+                value = tuple(value.tolist())
+            object.__setattr__(record, name, value)
+
+
+def check_quantities(record: object, inside: str = "") -> None:
+    """Refuse the first number of a record that is out of its range; those of records in it, too.
+
+    A field's default is always allowed. Arrays are left to the record, which knows their rows.
+
+    Parameters
+    ----------
+    record
+        Of a class with QUANTITIES, or with fields that are such records.
+    inside
+        Put before the names of fields in messages.
+
+    Raises
+    ------
+    FormatError
+    """
+    kind = type(record)
+    for name, quantity in getattr(kind, "QUANTITIES", {}).items():
+        value = getattr(record, name)
+        if isinstance(value, tuple) or (np.ndim(value) == 0 and value != getattr(kind, name, None)):
+            quantity.check(value, inside + name)
+    if is_dataclass(record):
+        for field in fields(record):
+            if is_dataclass(value := getattr(record, field.name)):
+                check_quantities(value, f"{inside}{field.name}.")
+
+
+def in_unit(value: Any, unit: str, name: str) -> Any:
+    """Return a number or (...,) numbers without their unit, in the one wanted.
+
+    What has no unit is taken as it stands. Masks stay.
+
+    Parameters
+    ----------
+    value
+        A Quantity, a list of them, a column of a table, or plain numbers.
+    unit
+        Wanted; '' of what has none.
+    name
+        Of the value, for people.
+
+    Raises
+    ------
+    FormatError
+        It is in a unit of another kind.
+    """
+    if isinstance(value, list | tuple) and any(getattr(one, "unit", None) for one in value):
+        import astropy.units as u
+
+        try:
+            value = u.Quantity(value)
+        except (u.UnitsError, TypeError):
+            raise other_unit(name, "several units", unit) from None
+    own = getattr(value, "unit", None)
+    if own is None:
+        return value
+    import astropy.units as u
+
+    mask = mask_of(value)
+    try:
+        plain = np.asarray(getattr(value, "unmasked", value)) * own
+        numbers = u.Quantity(plain).to_value(u.Unit(unit), equivalencies=u.temperature())
+    except (u.UnitsError, TypeError, ValueError):
+        raise other_unit(name, str(own) or "numbers without unit", unit) from None
+    if mask is not None:
+        return np.ma.masked_array(numbers, mask)
+    return float(numbers) if np.ndim(numbers) == 0 else np.asarray(numbers)
+
+
+def taking_units(
+    **units: str,
+) -> Callable[[Callable[Given, Returned]], Callable[Given, Returned]]:
+    """Decorate a function so that it takes some arguments as Quantities too: in these units."""
+
+    def decorate(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+        names = list(inspect.signature(function).parameters)
+
+        @functools.wraps(function)
+        def call(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
+            plain: Any = [
+                in_unit(value, units[name], name) if name in units else value
+                for name, value in zip(names, args, strict=False)
+            ]
+            named: Any = {
+                name: in_unit(value, units[name], name) if name in units else value
+                for name, value in kwargs.items()
+            }
+            plain += args[len(plain) :]
+            return function(*plain, **named)
+
+        return call
+
+    return decorate
+
+
+def mask_of(value: Any) -> NDArray[np.bool_] | None:
+    """Return the (...,) mask of masked numbers; None where nothing is masked."""
+    mask = getattr(value, "mask", None)
+    return np.asarray(mask, dtype=np.bool_) if mask is not None and np.any(mask) else None
+
+
+def other_unit(name: str, has: str, want: str) -> FormatError:
+    """Return the refusal of a value in a unit that does not convert to the one wanted."""
+    remedy = f"give it in {want}, or in what converts to that" if want else "give plain numbers"
+    return FormatError(f"{name.upper()} is in {has}", remedy=remedy, got=has, want=want)
