@@ -13,7 +13,6 @@ modal_base          stiffness modes, and what turbulence costs on three bases
 dissipation         what the first N modes leave of the turbulence, and what they cost
 comparison          how two sets of modes differ
 findings            modal bases before and after calibration: the result
-segments            modes of a mirror in several segments, side by side
 file                the modal base in files (docs/files.md)
 figures             modes on the mirror, residual, power
 words               in words and numbers: terminal, page, script

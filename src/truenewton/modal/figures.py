@@ -24,6 +24,7 @@ from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.words import stiffness_text
+from truenewton.records.parts import Parts, by_number
 
 NANOMETRE = 1e-9
 ACROSS = 4  # maps of modes beside each other
@@ -123,13 +124,18 @@ def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def modes_figures(modes: ModalFindings, limits: Budget) -> dict[str, Callable[..., Axes]]:
+def modes_figures(
+    modes: ModalFindings | Parts[ModalFindings], limits: Budget
+) -> dict[str, Callable[..., Axes]]:
     """Return what draws each figure of the modal base, by name; it takes axes or none."""
-    drawn: dict[str, Callable[..., Axes]] = {
-        "modes": partial(plot_modes, modes.after),
-        "modes-residual": partial(plot_residual, modes.after),
-        "modes-power": partial(plot_power, modes.after, limits),
-    }
-    if modes.compares:
-        drawn["modes-comparison"] = partial(plot_comparison, modes)
+    drawn: dict[str, Callable[..., Axes]] = {}
+    for number, one in by_number(modes).items():
+        of_it = f"segment-{number}-" if number else ""
+        drawn |= {
+            f"{of_it}modes": partial(plot_modes, one.after),
+            f"{of_it}modes-residual": partial(plot_residual, one.after),
+            f"{of_it}modes-power": partial(plot_power, one.after, limits),
+        }
+        if one.compares:
+            drawn[f"{of_it}modes-comparison"] = partial(plot_comparison, one)
     return drawn
