@@ -39,7 +39,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.figures import write_figures as write_figures
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
-    from truenewton.calibration.segmented import SegmentedCalibration as SegmentedCalibration
     from truenewton.calibration.verdict import Verdict as Verdict
     from truenewton.estimation.findings.code import Code as Code
     from truenewton.estimation.findings.code import Level as Level
@@ -63,7 +62,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.reading import read_campaign as read_campaign
     from truenewton.reading import read_stiffness as read_stiffness
     from truenewton.recalibration.fit import recalibrate as recalibrate
-    from truenewton.recalibration.segments import recalibrate_segments as recalibrate_segments
     from truenewton.records.campaign import Campaign as Campaign
     from truenewton.records.cycle import Cycle as Cycle
     from truenewton.records.file import Averaged as Averaged
@@ -71,6 +69,7 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.records.file import write_campaign as write_campaign
     from truenewton.records.file import write_cycle as write_cycle
     from truenewton.records.file import write_stiffness as write_stiffness
+    from truenewton.records.parts import Parts as Parts
     from truenewton.records.segment import Segment as Segment
     from truenewton.records.segmented import SegmentedData as SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix as StiffnessMatrix
@@ -85,7 +84,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.tracking.file import read_tracking as read_tracking
     from truenewton.tracking.fit import track as track
     from truenewton.tracking.law import Tracking as Tracking
-    from truenewton.tracking.segments import track_segments as track_segments
     from truenewton.tracking.validity import Validity as Validity
     from truenewton.tracking.validity import validity_of as validity_of
 
@@ -108,7 +106,6 @@ _NAMES = {
     "calibration.figures": ["write_figures"],
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
-    "calibration.segmented": ["SegmentedCalibration"],
     "calibration.verdict": ["Verdict"],
     "estimation.findings.code": ["Code", "Level"],
     "estimation.findings.finding": ["Finding"],
@@ -125,10 +122,10 @@ _NAMES = {
     "planning.plan_prediction": ["predict_plan"],
     "reading": ["read", "read_calibration", "read_campaign", "read_stiffness"],
     "recalibration.fit": ["recalibrate"],
-    "recalibration.segments": ["recalibrate_segments"],
     "records.campaign": ["Campaign"],
     "records.cycle": ["Cycle"],
     "records.file": ["Averaged", "averaged", "write_campaign", "write_cycle", "write_stiffness"],
+    "records.parts": ["Parts"],
     "records.segment": ["Segment"],
     "records.segmented": ["SegmentedData"],
     "records.stiffness_matrix": ["StiffnessMatrix"],
@@ -140,7 +137,6 @@ _NAMES = {
     "tracking.file": ["read_tracking"],
     "tracking.fit": ["track"],
     "tracking.law": ["Tracking"],
-    "tracking.segments": ["track_segments"],
     "tracking.validity": ["Validity", "validity_of"],
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}

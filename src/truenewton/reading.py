@@ -6,32 +6,34 @@ import os
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.segment_file import any_calibration_from
-from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.segments import InSegments
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
+from truenewton.calibration.written import CALIBRATIONS
 from truenewton.cluster import Client, each
 from truenewton.errors import Fault, FormatError, TrueNewtonError, located
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import fits_paths, read_file, stiffness_from
+from truenewton.records.parts import InParts, Parts, body_or_parts_from, has_parts
 from truenewton.records.reader import open_by_worker, open_file
 from truenewton.records.segmented import SegmentedData, in_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
+
 AnyPath = str | os.PathLike[str]
 IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
 Body = Campaign | StiffnessMatrix | Calibration  # of a mirror in one piece
-Read = Body | SegmentedData | SegmentedCalibration
+Read = Body | SegmentedData | Parts[Calibration]
 Part = TypeVar("Part")
 KINDS: dict[type, tuple[str, str]] = {  # what paths hold, and what reads it
     Campaign: ("cycles", "read_campaign"),
     StiffnessMatrix: ("a stiffness matrix", "read_stiffness"),
     Calibration: ("a calibration", "read_calibration"),
     SegmentedData: ("data of several segments", "read"),
-    SegmentedCalibration: ("a calibration of several segments", "read"),
+    Parts: ("a calibration of several segments", "read"),
 }
 FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to do with it
     "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
@@ -63,8 +65,7 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     Returns
     -------
     Campaign, StiffnessMatrix or Calibration
-        By what the files hold; of a mirror in several segments SegmentedData or
-        SegmentedCalibration.
+        By what the files hold; of a mirror in several segments SegmentedData or Parts.
 
     Raises
     ------
@@ -90,7 +91,7 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     files = [one.file for one in opened]
     if len(files) == 1:
         if "CALIBRATION" in files[0].extensions:
-            calibration = any_calibration_from(files[0])
+            calibration = body_or_parts_from(files[0], CALIBRATIONS)
             warn_of(calibration)
             return calibration
         if "STIFFNESS" in files[0].extensions:
@@ -117,23 +118,17 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     return Campaign(cycles, beside)
 
 
-def of_several(data: object) -> bool:
-    """Tell whether data, or a calibration, are of a mirror in several segments."""
-    return isinstance(data, SegmentedData | SegmentedCalibration)
+def holds_alpha(data: object) -> TypeIs[AnyCalibration]:
+    """Tell whether something is a calibration, of one body or of several segments."""
+    return isinstance(data, Calibration | Parts)
 
 
 @overload
-def of_segment(
-    data: Calibration | SegmentedCalibration, number: int | None, path: object
-) -> Calibration: ...
+def select_segment(data: InParts[Part], number: int | None, path: object) -> Part: ...
 @overload
-def of_segment(
-    data: Campaign | StiffnessMatrix | SegmentedData, number: int | None, path: object
-) -> Campaign | StiffnessMatrix: ...
-@overload
-def of_segment(data: Read, number: int | None, path: object) -> Body: ...
-def of_segment(data: Read, number: int | None, path: object) -> Body:
-    """Return what concerns one segment; what is of a mirror in one piece as it is, None for that.
+def select_segment(data: Part, number: int | None, path: object) -> Part: ...
+def select_segment(data: Any, number: int | None, path: object) -> Any:
+    """Return what there is of one segment; what is of a mirror in one piece as it is.
 
     Raises
     ------
@@ -142,10 +137,30 @@ def of_segment(data: Read, number: int | None, path: object) -> Body:
     UnknownName, GeometryError, RankDeficient
         There is no such segment, or nothing of it.
     """
-    if isinstance(data, SegmentedData | SegmentedCalibration):
-        return part_of(data, number, path)
-    if number is None:
-        return data
+    if has_parts(data):
+        if number is None:
+            first = data.numbers[0]
+            raise FormatError(
+                f"has {len(data.numbers)} segments, and this takes one at a time",
+                remedy=f"choose it by its number: --segment {first}, or part({first}) in Python",
+                path=path,
+            )
+        try:
+            return data.part(number)
+        except TrueNewtonError as error:
+            raise located(error, path) from None
+    if number is not None:
+        _require_number(data, number, path)
+    return data
+
+
+def _require_number(data: Any, number: int, path: object) -> None:
+    """Refuse data of one body that are not of this segment.
+
+    Raises
+    ------
+    FormatError
+    """
     if isinstance(data, Calibration):  # of one segment, its instrument alone says which
         _, of, said = data.instrument.rpartition(" segment ")
         own = int(said) if of and said.isdecimal() else number
@@ -159,53 +174,30 @@ def of_segment(data: Read, number: int | None, path: object) -> Body:
             remedy=f"give the files of segment {number}",
             path=path,
         )
-    return data
 
 
-def part_of(data: InSegments[Part], number: int | None, path: object) -> Part:
-    """Return what there is of one of several segments.
-
-    Raises
-    ------
-    FormatError
-        None is chosen.
-    UnknownName, GeometryError, RankDeficient
-        There is no such segment, or nothing of it.
-    """
-    if number is None:
-        raise FormatError(
-            f"has {len(data.numbers)} segments, and this takes one at a time",
-            remedy=f"choose it by its number: --segment {data.numbers[0]}, or"
-            f" segment({data.numbers[0]}) in Python",
-            path=path,
-        )
-    try:
-        return data.segment(number)
-    except TrueNewtonError as error:
-        raise located(error, path) from None
-
-
-def read_one(*paths: AnyPath, segment: int | None = None) -> Body:
-    """Read what is of one body, as ``read``; of a mirror in several segments that of one.
+def read_chosen(*paths: AnyPath, segment: int | None = None, client: Client | None = None) -> Read:
+    """Read, as ``read``; of several segments one, if it is chosen, else all.
 
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch, UnknownName, GeometryError, RankDeficient
     """
-    return of_segment(read(*paths), segment, paths[0])
+    data = read(*paths, client=client)
+    return data if segment is None else select_segment(data, segment, paths[0])
 
 
 def read_data(
-    *paths: AnyPath, client: Client | None = None
+    *paths: AnyPath, segment: int | None = None, client: Client | None = None
 ) -> Campaign | StiffnessMatrix | SegmentedData:
-    """Read what can be calibrated: as ``read``, but a calibration is refused.
+    """Read what can be calibrated: as ``read_chosen``, but a calibration is refused.
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch
+    UnreadableFile, FormatError, CampaignMismatch, UnknownName, GeometryError
     """
-    data = read(*paths, client=client)
-    if isinstance(data, Calibration | SegmentedCalibration):
+    data = read_chosen(*paths, segment=segment, client=client)
+    if holds_alpha(data):
         raise FormatError(
             "is a calibration already", remedy="give cycle files or a stiffness file", path=paths[0]
         )
@@ -279,24 +271,19 @@ def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibratio
     >>> tn.read_calibration("alpha.fits").method
     'ml'
     """
-    data = read_one(path, segment=segment)
-    if not isinstance(data, Calibration):
-        raise _another(data, "calibration", "give what `calibrate -o` wrote", [path])
-    return data
+    return select_segment(read_alpha(path, segment=segment), None, path)
 
 
-def read_segmented(path: AnyPath) -> SegmentedCalibration:
-    """Read the calibration of a mirror in several segments.
+def read_alpha(path: AnyPath, *, segment: int | None = None) -> AnyCalibration:
+    """Read a calibration file as `read_calibration`; of several segments all if none is chosen.
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch
+    UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
     """
-    data = read(path)
-    if not isinstance(data, SegmentedCalibration):
-        raise _another(
-            data, "calibration of several segments", "give such a one, or --segment", [path]
-        )
+    data = read_chosen(path, segment=segment)
+    if not holds_alpha(data):
+        raise _another(data, "calibration", "give what `calibrate -o` wrote", [path])
     return data
 
 
@@ -322,9 +309,7 @@ def _flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:
     ]
 
 
-def read_calibrations(
-    *paths: AnyPath, segment: int | None = None
-) -> tuple[Calibration | SegmentedCalibration, ...]:
+def read_calibrations(*paths: AnyPath, segment: int | None = None) -> tuple[AnyCalibration, ...]:
     """Read several calibrations; none where one of the paths holds something else.
 
     Of mirrors in several segments that of one, if it is chosen.
@@ -336,5 +321,7 @@ def read_calibrations(
     files = [read_file(path) for path in paths if not Path(path).is_dir()]
     if len(files) < len(paths) or any("CALIBRATION" not in file.extensions for file in files):
         return ()
-    every = [(any_calibration_from(file), file.path) for file in files]
-    return tuple(one if segment is None else of_segment(one, segment, path) for one, path in every)
+    every = [(body_or_parts_from(file, CALIBRATIONS), file.path) for file in files]
+    return tuple(
+        one if segment is None else select_segment(one, segment, path) for one, path in every
+    )

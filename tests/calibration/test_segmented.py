@@ -12,8 +12,8 @@ from astropy.table import QTable
 import truenewton as tn
 from helpers.segmented import in_one, pieces
 from truenewton.calibration import figures
-from truenewton.calibration.verdict import REGARDLESS, Level
-from truenewton.calibration.workers import side_by_side
+from truenewton.calibration.verdict import REGARDLESS, Level, without_unusable
+from truenewton.calibration.workers import Processes
 from truenewton.errors import (
     CampaignMismatch,
     Fault,
@@ -25,10 +25,8 @@ from truenewton.errors import (
 from truenewton.figures.maps import bears_names, dot_radius, plot_map, segment_places
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.segmented import gmt
-from truenewton.modal.segments import modes_of_segments
 from truenewton.modal.turbulence import pupil_of
 from truenewton.progress import telling
-from truenewton.reading import read_one
 from truenewton.records.file import write_campaign
 from truenewton.records.segmented import segment_couplings
 from truenewton.report.verdict import headline_of
@@ -89,10 +87,10 @@ def same(one, other):
 def test_each_segment_is_calibrated_as_if_alone(whole, alone):
     assert whole.refused == {}
     for number, (other, truth) in enumerate(zip(alone, pieces(3)[1], strict=True), 1):
-        same(whole.segments[number], other)
+        same(whole.found[number], other)
         own = whole.layout.segment == number
-        assert np.array_equal(whole.alpha[own], whole.segment(number).alpha)
-        assert np.array_equal(whole.error[own], whole.segment(number).error)
+        assert np.array_equal(whole.column("alpha")[own], whole.part(number).alpha)
+        assert np.array_equal(whole.column("error")[own], whole.part(number).error)
         assert np.abs((other.alpha - truth[:14]) / other.error).max() < 5.0
 
 
@@ -108,15 +106,15 @@ def test_a_segment_that_is_refused_does_not_change_the_others(data, alone):
     wild = spoilt(data, 2, lambda force: random.permutation(force) * random.standard_normal())
     with pytest.warns(TrueNewtonWarning):
         made = tn.calibrate(wild)
-    same(made.segments[1], alone[0])
-    same(made.segments[3], alone[2])
+    same(made.found[1], alone[0])
+    same(made.found[3], alone[2])
     assert made.verdict.level == Level.USABLE
     assert made.verdict.faults[0].values["segments"] == [2]
-    kept = made.without_unusable()
-    assert set(kept.segments) == {1, 3}
-    assert np.isnan(kept.alpha[data.layout.segment == 2]).all()
+    kept = without_unusable(made)
+    assert set(kept.found) == {1, 3}
+    assert np.isnan(kept.column("alpha")[data.layout.segment == 2]).all()
     with pytest.raises(RankDeficient, match="segment 2 gave no alpha"):
-        kept.segment(2)
+        kept.part(2)
 
 
 def test_processes_and_files_give_the_same_result_and_the_same_refusals(data, alone, tmp_path):
@@ -129,17 +127,17 @@ def test_processes_and_files_give_the_same_result_and_the_same_refusals(data, al
     assert set(made.refused) == {1, 3}
     assert "no actuator is ENABLED" in made.refused[1][0].fault
     assert "FORCE is zero throughout" in made.refused[3][0].fault
-    same(made.segments[2], alone[1])
+    same(made.found[2], alone[1])
     made.write(tmp_path / "alpha.fits.gz")
     parallel = tn.calibrate(still, processes=2)
     for other in (parallel, tn.read(tmp_path / "alpha.fits.gz")):
-        assert np.array_equal(other.alpha, made.alpha, equal_nan=True)
-        assert np.array_equal(other.error, made.error, equal_nan=True)
+        for name in ("alpha", "error"):
+            assert np.array_equal(other.column(name), made.column(name), equal_nan=True)
         assert other.refused == made.refused
         assert other.verdict == made.verdict
         assert other.layout.same_as(made.layout)
-    assert not parallel.segments[2].covariance.flags.writeable
-    assert not parallel.segments[2].layout.x.flags.writeable
+    assert not parallel.found[2].covariance.flags.writeable
+    assert not parallel.found[2].layout.x.flags.writeable
 
 
 def test_files_that_disagree_on_a_segment_are_refused(data):
@@ -152,9 +150,9 @@ def test_files_that_disagree_on_a_segment_are_refused(data):
     with pytest.raises(CampaignMismatch, match="WEIGHT or E_WEIGHT of segment 1"):
         tn.SegmentedData((replace(first, segments=shifted), *others))
     with pytest.raises(UnknownName, match="there is no segment 9; choose 1, 2, 3"):
-        data.segment(9)
+        data.part(9)
     with pytest.raises(FormatError, match="in one piece"):
-        tn.SegmentedData(data.segment(1).cycles)
+        tn.SegmentedData(data.part(1).cycles)
     bare = tuple(c for c in data.cycles if c.load.key == "bare")
     with pytest.raises(RankDeficient, match="no segment gives alpha; segment 1: "):
         tn.calibrate(tn.SegmentedData(bare))
@@ -163,12 +161,12 @@ def test_files_that_disagree_on_a_segment_are_refused(data):
 def test_the_file_gives_back_everything(whole, tmp_path):
     whole.write(tmp_path / "alpha.fits")
     made = tn.read(tmp_path / "alpha.fits")
-    assert isinstance(made, tn.SegmentedCalibration)
-    assert np.array_equal(made.alpha, whole.alpha)
+    assert isinstance(made, tn.Parts)
+    assert np.array_equal(made.column("alpha"), whole.column("alpha"))
     assert made.layout.same_as(whole.layout)
     assert made.verdict == whole.verdict
-    for number, one in whole.segments.items():
-        back = made.segments[number]
+    for number, one in whole.found.items():
+        back = made.found[number]
         assert np.array_equal(back.covariance, one.covariance)
         assert (back.method, back.bias_force, back.instrument) == (
             one.method,
@@ -177,17 +175,15 @@ def test_the_file_gives_back_everything(whole, tmp_path):
         )
     table = QTable.read(tmp_path / "alpha.fits", hdu="ALPHA")
     assert table.colnames[:6] == ["ID", "X", "Y", "SEGMENT", "ALPHA", "E_ALPHA"]
-    assert np.array_equal(table["ALPHA"], whole.alpha)
+    assert np.array_equal(table["ALPHA"], whole.column("alpha"))
     segments = QTable.read(tmp_path / "alpha.fits", hdu="SEGMENTS")
-    assert segments["VERDICT"].tolist() == [
-        str(one.verdict.level) for one in whole.segments.values()
-    ]
+    assert segments["VERDICT"].tolist() == [str(one.verdict.level) for one in whole.found.values()]
     with fits.open(tmp_path / "alpha.fits") as hdus:
-        assert hdus["CALIBRATION", 2].header["BIAS"] == whole.segments[2].bias_force
+        assert hdus["CALIBRATION", 2].header["BIAS"] == whole.found[2].bias_force
         assert len(hdus["CALIBRATION", 3].data) == 14
     for name in ("a.csv", "a.ecsv", "a.npy"):
         whole.write(tmp_path / name)
-    assert np.array_equal(np.load(tmp_path / "a.npy"), whole.alpha)
+    assert np.array_equal(np.load(tmp_path / "a.npy"), whole.column("alpha"))
     table = QTable.read(tmp_path / "a.ecsv")
     assert table.meta["VERDICT"] == str(whole.verdict.level)
     assert np.array_equal(table["SEGMENT"], whole.layout.segment)
@@ -248,8 +244,8 @@ def test_a_stiffness_is_calibrated_by_segment(two, tmp_path):
     made = tn.calibrate(tn.read(tmp_path / "k.fits"), "svd")
     for number, one in enumerate(alone, 1):
         other = tn.calibrate(one, "svd")
-        assert made.segments[number].alpha == pytest.approx(other.alpha, rel=1e-7)
-        codes = {each.code for each in made.segments[number].findings}
+        assert made.found[number].alpha == pytest.approx(other.alpha, rel=1e-7)
+        codes = {each.code for each in made.found[number].findings}
         assert tn.Code.SEGMENTS_COUPLED not in codes
     with pytest.raises(FormatError, match="of 2 segments, which balance each by itself"):
         tn.calibrate(matrix)
@@ -291,7 +287,7 @@ def test_modes_of_segments_are_those_of_each_alone(two, inside, tmp_path):
     assert code == 2
     assert "m-1.fits: exists already" in wrong
     with pytest.raises(UnknownName, match="there is no actuator 99"):
-        modes_of_segments(tn.SegmentedData(stiffness=matrix), off=[99])
+        tn.find_modes(tn.SegmentedData(stiffness=matrix), off=[99])
 
 
 def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path):
@@ -299,8 +295,8 @@ def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path
     matrix, bad = tmp_path / "k.fits", tmp_path / "bad.fits"
     tn.write_stiffness(two[0], matrix)
     made = tn.calibrate(tn.read(matrix), "svd")
-    turned = {k: replace(one, alpha=-one.alpha) for k, one in made.segments.items()}
-    replace(made, segments={**made.segments, 2: turned[2]}).write(bad)
+    turned = {k: replace(one, alpha=-one.alpha) for k, one in made.found.items()}
+    replace(made, found={**made.found, 2: turned[2]}).write(bad)
     words = ("modes", matrix, "--calibration", bad)
     code, said, wrong = inside(*words)
     assert (code, wrong) == (0, "")
@@ -309,7 +305,7 @@ def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path
     assert line.startswith(f"segment 2: no modes: {bad} gives no alpha: {negative}")
     assert line.endswith(REGARDLESS)
     assert "no modes" not in inside(*words, "--anyway")[1]
-    replace(made, segments=turned).write(bad, overwrite=True)
+    replace(made, found=turned).write(bad, overwrite=True)
     code, _, wrong = inside(*words)
     assert code == 2
     assert wrong.startswith(f"truenewton: {bad}: rejected: segments 1, 2")
@@ -337,7 +333,7 @@ def test_commands_take_segments(folder, inside, tmp_path, monkeypatch):
     assert code == 2
     assert wrong.count("\n") == 1
     assert "has 3 segments, and this takes one at a time; choose it by its number" in wrong
-    assert isinstance(read_one(out, segment=3), tn.Calibration)
+    assert isinstance(tn.read_calibration(out, segment=3), tn.Calibration)
     values = json.loads(inside("calibrate", folder, "--json")[1])
     assert values["schema"] == "truenewton.calibrate-segments/2"
     assert [part["segment"] for part in values["segments"]] == [1, 2, 3]
@@ -361,19 +357,19 @@ def test_the_report_has_a_section_for_each_segment(data, inside, tmp_path):
 
 def test_the_report_counts_no_segment_that_is_not_to_be_used(whole):
     """Nor is the range of alpha that of wrong ones; where no other is, it is told as it is."""
-    turned = {k: replace(one, alpha=-one.alpha) for k, one in whole.segments.items()}
-    one = headline_of(replace(whole, segments={**whole.segments, 2: turned[2]}))
+    turned = {k: replace(one, alpha=-one.alpha) for k, one in whole.found.items()}
+    one = headline_of(replace(whole, found={**whole.found, 2: turned[2]}))
     assert one.sentence.startswith("Alpha of 2 of 3 segments")
     assert [value.startswith("-") for _, value, _ in one.numbers] == [False] * 3
-    every = headline_of(replace(whole, segments=turned))
+    every = headline_of(replace(whole, found=turned))
     assert every.level == Level.REJECTED
     assert every.numbers[0][1].startswith("-")
 
 
 def test_figures_show_all_segments(whole):
     [bars] = figures.plot_actuators(whole).containers
-    assert bars.lines[0].get_ydata() == pytest.approx(whole.alpha, rel=1e-15)
-    names = {text.get_text() for text in plot_map(whole.layout, whole.alpha).texts}
+    assert bars.lines[0].get_ydata() == pytest.approx(whole.column("alpha"), rel=1e-15)
+    names = {text.get_text() for text in plot_map(whole.layout, whole.column("alpha")).texts}
     assert names >= {"1", "2", "3"}
 
 
@@ -381,13 +377,13 @@ def test_what_is_said_of_several_segments_is_said_once(data):
     """With the numbers of the first; what else differs, as names of actuators, stays apart."""
     made = tn.calibrate(data)
     same = {k: replace(one, systematic_error=0.3 * k * one.alpha, scale_errors=())
-            for k, one in made.segments.items()}  # fmt: skip
-    [one] = [each for each in replace(made, segments=same).verdict.faults
+            for k, one in made.found.items()}  # fmt: skip
+    [one] = [each for each in replace(made, found=same).verdict.faults
              if each.cause.code is tn.Code.SCALE_BY_WEIGHTS]  # fmt: skip
     assert one.fault.startswith("segments 1 to 3: the common scale is known to 30 %")
     assert one.fault.endswith("(numbers of segment 1)")
     refused = {k: (Fault(f"actuator {k} is dead", "do"),) for k in (1, 2)}
-    other = replace(made, segments={3: made.segments[3]}, refused=refused)
+    other = replace(made, found={3: made.found[3]}, refused=refused)
     assert [each.fault for each in other.verdict.faults][:2] == [
         "segment 1: actuator 1 is dead", "segment 2: actuator 2 is dead",
     ]  # fmt: skip
@@ -407,7 +403,7 @@ def test_segments_are_named_beside_their_actuators(whole):
             near = np.hypot(1e3 * some.x - x, 1e3 * some.y - y)
             assert near.min() > 2 * dot_radius(some)
             assert own[near.argmin()]
-    assert segment_places(whole.segments[1].layout) == []
+    assert segment_places(whole.found[1].layout) == []
     one = p45().layout  # of two of them far apart dots are too small for names
     two = tn.layout(np.append(one.x, one.x + 0.5), np.tile(one.y, 2), segment=np.repeat([1, 2], 45))
     assert [bears_names(some) for some in (one, two)] == [True, False]
@@ -422,7 +418,7 @@ def test_the_bar_counts_segments(data):
 
 def test_a_process_that_dies_and_a_call_that_fails_are_told():
     with pytest.raises(ChildProcessError, match="a process ended with 3"):
-        list(side_by_side([lambda: (os._exit, 3)], 1))
+        list(Processes(1).map(os._exit, [3]))
     with pytest.raises(FileNotFoundError):
-        list(side_by_side([lambda: (os.listdir, "/no/such/folder")], 1))
-    assert list(side_by_side([lambda: (abs, -1), lambda: (abs, -2)], 2)) == [1, 2]
+        list(Processes(1).map(os.listdir, ["/no/such/folder"]))
+    assert list(Processes(2).map(abs, [-1, -2])) == [1, 2]

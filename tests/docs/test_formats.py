@@ -7,12 +7,12 @@ import pytest
 
 from truenewton.bench.simulated.truth import TRUTH
 from truenewton.calibration.file import CALIBRATION
-from truenewton.calibration.segment_file import SEGMENTED
+from truenewton.calibration.written import CALIBRATIONS
 from truenewton.estimation.findings import thresholds
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
 from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
-from truenewton.tracking.file import SEGMENTED_TRACKING, TRACKING
+from truenewton.tracking.file import TRACKING, TRACKINGS
 
 DOCS = Path(__file__).parents[2] / "docs" / "files.md"
 VERDICT = DOCS.with_name("verdict.md")
@@ -29,9 +29,9 @@ FORMATS = {
     "Mirrors in several segments": FileFormat(extensions=(SEGMENTS,)),
     "The stiffness file": STIFFNESS,
     "The calibration file": CALIBRATION,
-    "The calibration of several segments": SEGMENTED,
+    "The calibration of several segments": CALIBRATIONS.whole,
     "The tracking file": TRACKING,
-    "The tracking of several segments": SEGMENTED_TRACKING,
+    "The tracking of several segments": TRACKINGS.whole,
     "The modal base": MODES,
     "The truth of a simulation": TRUTH,
     "The plain matrices": PLAIN["ff_matrix"],

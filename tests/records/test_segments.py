@@ -137,26 +137,26 @@ def test_files_of_single_segments_make_the_mirror(cycles, tmp_path):
         Campaign(tuple(cycles))
     whole = tn.SegmentedData(tuple(cycles))
     for number in (3, 1, 2):
-        one = [c for c in whole.segment(number) if number != 2 or c.number < 2]
+        one = [c for c in whole.part(number) if number != 2 or c.number < 2]
         write_campaign(one, tmp_path / f"s{number}")
     write_campaign([c for c in cycles if c.number > 1], tmp_path / "whole")
     parts = tn.read(*(tmp_path / f"s{number}" for number in (3, 1)))
     assert (parts.numbers, parts.instrument) == ((1, 3), whole.instrument)
     assert parts.layout.id.tolist() == [
-        *whole.segment(1).layout.id.tolist(), *whole.segment(3).layout.id.tolist()
+        *whole.part(1).layout.id.tolist(), *whole.part(3).layout.id.tolist()
     ]  # fmt: skip
-    for mine, yours in zip(parts.segment(3), whole.segment(3), strict=True):
+    for mine, yours in zip(parts.part(3), whole.part(3), strict=True):
         assert np.array_equal(mine.force, yours.force)
         assert mine.instrument == yours.instrument
     both = tn.read(tmp_path / "s2", tmp_path / "whole")
     assert both.numbers == (1, 2, 3)
-    assert len(both.segment(2)) == len(whole.segment(2))
+    assert len(both.part(2)) == len(whole.part(2))
     assert both.instrument == whole.instrument
     alone = tn.read(tmp_path / "s2")
     assert isinstance(alone, tn.Campaign)
     other = replace(alone.cycles[0], instrument="OTHER")
     with pytest.raises(CampaignMismatch, match=r"is of TEST, .* of OTHER"):
-        tn.SegmentedData((other, *whole.segment(1)))
+        tn.SegmentedData((other, *whole.part(1)))
 
 
 def test_layouts_name_their_segments():

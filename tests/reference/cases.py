@@ -80,8 +80,8 @@ def result_of(made: Any) -> Result:
     """Return what is recorded of what a case made."""
     if isinstance(made, Result):
         return made
-    if isinstance(made, tn.SegmentedCalibration):
-        parts = [result_of(made.segments[number]) for number in sorted(made.segments)]
+    if isinstance(made, tn.Parts):
+        parts = [result_of(one) for one in made.found.values()]
         names = parts[0].columns
         return Result(
             (*verdict_lines(made.verdict), *(line for part in parts for line in part.sentences)),
@@ -158,7 +158,7 @@ def closed_loop() -> tn.Campaign:
 
 
 @case("segments as of m4", fast=True)
-def segments() -> tn.SegmentedCalibration:
+def segments() -> tn.Parts[tn.Calibration]:
     return tn.calibrate(tn.SegmentedData(tuple(in_one(pieces(3)[0]))))
 
 

@@ -12,7 +12,7 @@ import truenewton as tn
 from helpers.segmented import in_one, pieces
 from truenewton.errors import CampaignMismatch, Fault, FormatError, RankDeficient, UnknownName
 from truenewton.records.file import write_campaign
-from truenewton.tracking.figures import figures_of_segments, tracking_figures
+from truenewton.tracking.figures import tracking_figures
 
 K = -1e-3  # [1/K] of all actuators
 SETTINGS = ((0, 14.0), (30, 22.0), (60, 17.0))  # [d], [deg C]
@@ -44,7 +44,7 @@ def days():
 
 @pytest.fixture(scope="module")
 def law(days):
-    return tn.track_segments(*days)
+    return tn.track(*days)
 
 
 @pytest.fixture(scope="module")
@@ -58,65 +58,63 @@ def files(days, tmp_path_factory):
 
 def without(day, number):
     """Return a calibration of which one segment was refused."""
-    kept = {k: one for k, one in day.segments.items() if k != number}
-    return replace(day, segments=kept, refused={number: (Fault("why", "do"),)})
+    kept = {k: one for k, one in day.found.items() if k != number}
+    return replace(day, found=kept, refused={number: (Fault("why", "do"),)})
 
 
 def test_each_segment_is_tracked_as_if_alone(law, days):
     for number in (1, 2, 3):
         alone = tn.track(*days, segment=number)
         own = law.layout.segment == number
-        assert np.array_equal(law.segment(number).covariance, alone.covariance)
-        assert np.array_equal(law.alpha[own], alone.alpha)
-        assert np.array_equal(law.coefficient[own], alone.coefficient)
-        assert np.array_equal(law.errors[:, own], alone.errors)
-    assert np.mean(law.coefficient) == pytest.approx(K, rel=0.1)
-    assert len(figures_of_segments(law)) == 3 * len(tracking_figures(law.segment(1)))
+        assert np.array_equal(law.part(number).covariance, alone.covariance)
+        assert np.array_equal(law.column("alpha")[own], alone.alpha)
+        assert np.array_equal(law.column("coefficient")[own], alone.coefficient)
+        assert np.array_equal(law.column("errors.2")[own], alone.errors[2])
+    assert np.mean(law.column("coefficient")) == pytest.approx(K, rel=0.1)
+    assert len(tracking_figures(law)) == 3 * len(tracking_figures(law.part(1)))
 
 
 def test_a_segment_that_cannot_be_tracked_takes_no_other_down(days, law):
-    made = tn.track_segments(without(days[0], 2), *days[1:])
+    made = tn.track(without(days[0], 2), *days[1:])
     assert set(made.refused) == {2}
     fault, remedy = made.refused[2][0]
     assert fault.endswith("segment 2 gave no alpha: why")
     assert fault.startswith(f"{days[0].instrument} of ")  # which day it is
     assert remedy == "do"
     own = law.layout.segment == 2
-    assert np.isnan(made.alpha[own]).all()
-    assert np.array_equal(made.alpha[~own], law.alpha[~own])
+    assert np.isnan(made.column("alpha")[own]).all()
+    assert np.array_equal(made.column("alpha")[~own], law.column("alpha")[~own])
     with pytest.raises(RankDeficient, match="no segment gives a law; segment 1: "):
-        tn.track_segments(days[0])
+        tn.track(days[0])
 
 
 def test_days_that_do_not_belong_together_are_refused(days):
     other = replace(days[1], instrument="OTHER")
     with pytest.raises(CampaignMismatch, match="is of OTHER"):
-        tn.track_segments(days[0], other)
+        tn.track(days[0], other)
     with pytest.raises(FormatError, match="is of one body"):
-        tn.track_segments(days[0], days[1].segment(1))
-    with pytest.raises(FormatError, match="has 3 segments, and this takes one at a time"):
-        tn.track(*days)
+        tn.track(days[0], days[1].part(1))
     with pytest.raises(RankDeficient, match="there is no calibration"):
-        tn.track_segments()
+        tn.track()
 
 
 def test_the_tracking_file_gives_back_every_law(law, days, tmp_path):
-    made = tn.track_segments(without(days[0], 2), *days[1:])
+    made = tn.track(without(days[0], 2), *days[1:])
     made.write(tmp_path / "law.fits")
     one = tn.read_tracking(tmp_path / "law.fits", segment=3)
-    assert np.array_equal(one.covariance, law.segment(3).covariance)
-    assert one.date == law.segment(3).date
+    assert np.array_equal(one.covariance, law.part(3).covariance)
+    assert one.date == law.part(3).date
     with pytest.raises(RankDeficient, match=r"law.fits: segment 2 gave no alpha: .* why"):
         tn.read_tracking(tmp_path / "law.fits", segment=2)
     with pytest.raises(FormatError, match="has 3 segments"):
         tn.read_tracking(tmp_path / "law.fits")
     with fits.open(tmp_path / "law.fits") as hdus:
         table, segments = hdus["LAW"].data, hdus["SEGMENTS"].data
-        assert np.array_equal(table["K"], made.coefficient, equal_nan=True)
+        assert np.array_equal(table["K"], made.column("coefficient"), equal_nan=True)
         assert table["SEGMENT"].tolist() == law.layout.segment.tolist()
         assert segments["TEMPERAT"][0] == pytest.approx(np.mean([14.0, 22.0, 17.0]))
         assert segments["DATE-REF"][2] == hdus["TRACKING", 3].header["DATE-REF"]
-    assert law.table.colnames[:4] == ["ID", "SEGMENT", "ALPHA", "E_ALPHA"]
+    assert law.table.colnames[3:6] == ["SEGMENT", "ALPHA", "E_ALPHA"]
 
 
 def test_the_command_tracks_all_segments(files, inside, tmp_path):
@@ -137,17 +135,17 @@ def test_the_command_tracks_all_segments(files, inside, tmp_path):
 def test_what_changed_is_told_by_segment(days, files, inside, tmp_path):
     """Each with a ratio of its own; one actuator of all reaches the limit by chance, not six."""
     other = days[2]
-    alpha = other.segments[2].alpha.copy()
+    alpha = other.found[2].alpha.copy()
     alpha[3] *= 1.05
-    parts = dict(other.segments) | {2: replace(other.segments[2], alpha=alpha)}
-    moved = tn.change(days[0], replace(other, segments=parts))
-    alone = {n: tn.change(days[0].segments[n], parts[n]) for n in (1, 2, 3)}
+    parts = dict(other.found) | {2: replace(other.found[2], alpha=alpha)}
+    moved = tn.change(days[0], replace(other, found=parts))
+    alone = {n: tn.change(days[0].found[n], parts[n]) for n in (1, 2, 3)}
     for number, part in alone.items():
         own = other.layout.segment == number
         assert np.array_equal(moved.sigmas[own], part.sigmas)
         assert moved.segments[number].ratio == part.ratio
         assert moved.limit > part.limit
-    assert other.layout.id[moved.changed].tolist() == [other.segments[2].layout.id[3]]
+    assert other.layout.id[moved.changed].tolist() == [other.found[2].layout.id[3]]
     page = tmp_path / "changed.html"
     code, said, _ = inside("report", files[0], files[2], "-o", page)
     assert code == 0
@@ -160,7 +158,7 @@ def test_what_changed_is_told_by_segment(days, files, inside, tmp_path):
     tn.write_report(page, lost, overwrite=True)
     assert "no alpha in one of them" in page.read_text()
     with pytest.raises(CampaignMismatch, match="the other of one body"):
-        tn.change(days[0], other.segments[1])
+        tn.change(days[0], other.found[1])
 
 
 @pytest.fixture(scope="module")
@@ -173,29 +171,29 @@ def after():
 
 
 def test_each_segment_is_recalibrated_as_if_alone(after, days):
-    made = tn.recalibrate_segments(after, days[2], [105])
-    assert {k: one.asked for k, one in made.segments.items()} == {1: (105,), 2: (), 3: ()}
+    made = tn.recalibrate(after, days[2], [105])
+    assert {k: one.asked for k, one in made.found.items()} == {1: (105,), 2: (), 3: ()}
     for number in (1, 2, 3):
         named = [105] if number == 1 else []
-        alone = tn.recalibrate(after.segment(number), days[2], named)
-        assert np.array_equal(made.calibration.segment(number).alpha, alone.calibration.alpha)
-        assert made.segments[number].chi2 == alone.chi2
-    new = made.calibration.layout.id == 105
-    ratio = made.calibration.alpha / days[2].alpha
+        alone = tn.recalibrate(after.part(number), days[2], named)
+        assert np.array_equal(made.part(number).calibration.alpha, alone.calibration.alpha)
+        assert made.found[number].chi2 == alone.chi2
+    new = made.layout.id == 105
+    ratio = made.column("calibration.alpha") / days[2].column("alpha")
     assert ratio[new] == pytest.approx(0.8, abs=0.02)
     assert ratio[~new] == pytest.approx(1.0, abs=0.01)
 
 
 def test_the_command_recalibrates_by_a_law_of_all_segments(after, files, days, inside, tmp_path):
     write_campaign(after.cycles, tmp_path / "after")
-    tn.track_segments(without(days[0], 3), *days[1:]).write(tmp_path / "law.fits")
+    tn.track(without(days[0], 3), *days[1:]).write(tmp_path / "law.fits")
     words = ("recalibrate", tmp_path / "after", "--known", tmp_path / "law.fits")
     code, said, _ = inside(*words, "--actuators", 105, "-o", tmp_path / "new.fits")
     assert code == 0
     assert "105" in said
     back = tn.read(tmp_path / "new.fits")
     assert set(back.refused) == {3}
-    assert back.segment(1).method == "ml, recalibrated"
+    assert back.part(1).method == "ml, recalibrated"
     code, said, _ = inside(*words, "--actuators", "auto", "--json")
     values = json.loads(said)
     assert [one["actuator"] for one in values["segments"][0]["moved"]] == [105]
@@ -208,9 +206,9 @@ def test_the_command_recalibrates_by_a_law_of_all_segments(after, files, days, i
 
 def test_what_cannot_be_recalibrated_is_refused(after, days, files, tmp_path):
     with pytest.raises(UnknownName, match="999"):
-        tn.recalibrate_segments(after, files[0], [999])
+        tn.recalibrate(after, files[0], [999])
     with pytest.raises(CampaignMismatch, match="is of OTHER"):
-        tn.recalibrate_segments(after, replace(days[0], instrument="OTHER"))
-    days[0].segment(1).write(tmp_path / "one.fits")
+        tn.recalibrate(after, replace(days[0], instrument="OTHER"))
+    days[0].part(1).write(tmp_path / "one.fits")
     with pytest.raises(FormatError, match="is of one body, and the run has 3 segments"):
-        tn.recalibrate_segments(after, tmp_path / "one.fits")
+        tn.recalibrate(after, tmp_path / "one.fits")

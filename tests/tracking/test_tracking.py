@@ -378,7 +378,7 @@ def test_nothing_is_promised_where_no_day_has_been(tracking):
     assert v.temperatures == v.law_temperatures == (12.0, 24.0)
     first, last = tracking.days[0].date, tracking.days[-1].date
     assert v.until == v.law_until == last + (last - first)
-    said = " ".join(lines(tracking, v))
+    said = " ".join(lines(tracking, 0.5))
     assert "from 12.0 to 24.0 deg C (the days saw no other)" in said
     assert "(as long again as the days lasted)" in said
     too_noisy = validity_of(tracking, 1e-5)

@@ -4,11 +4,7 @@ methods        the door: data and a method in, a calibration out
 result         the calibration: alpha, errors, covariance, and how they came about
 exclusion      actuators whose alpha is not wanted
 numbers        the numbers of an estimate where a calibration keeps them
-segments       segments calibrated side by side, in processes of their own
-workers        such processes
-segmented      the calibration of a mirror in several segments
-segment_file   its file
-segment_words  the same in words and numbers
+workers        segments side by side, in processes of their own
 file           the calibration file (docs/files.md)
 written        a calibration as a file, in the form that its name ends in
 figures        alpha with errors (paper, fig. 5), and all figures of a calibration as files
@@ -17,3 +13,5 @@ verdict        sound, usable, doubtful or rejected: one verdict for all who ask
 words          a calibration in words and numbers: terminal, page, script
 survey         what data hold, before anything is calibrated
 """
+
+import truenewton.calibration.written  # noqa: F401  # several segments are kept as it says

@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.result import AnyCalibration
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.findings.scale_budget import typical
 from truenewton.figures.maps import (
@@ -25,9 +24,10 @@ from truenewton.figures.maps import (
 )
 from truenewton.figures.style import ACCENT, CURVES, INK, NAMED, legend_above, styled_axes
 from truenewton.figures.writing import write_drawn
+from truenewton.records.parts import by_number
 
 
-def plot_actuators(calibration: Calibration | SegmentedCalibration, ax: Axes | None = None) -> Axes:
+def plot_actuators(calibration: AnyCalibration, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
     The bars are three standard uncertainties from the readings (3 E_STAT), the paper's level. The
@@ -36,10 +36,11 @@ def plot_actuators(calibration: Calibration | SegmentedCalibration, ax: Axes | N
     """
     own = ax is None
     with styled_axes(ax, 1.2 if own else 0.75) as ax:
-        layout, alpha = calibration.layout, calibration.alpha
+        layout, alpha = calibration.layout, calibration.column("alpha")
         numbers, few = numbers_by_ring(layout), layout.n <= NAMED
+        error = 3 * calibration.column("reading_error")
         ax.errorbar(
-            numbers, alpha, yerr=3 * calibration.reading_error, fmt="o", color=ACCENT, ecolor=INK,
+            numbers, alpha, yerr=error, fmt="o", color=ACCENT, ecolor=INK,
             markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
         )  # fmt: skip
         mark_rings(ax, layout)
@@ -50,11 +51,11 @@ def plot_actuators(calibration: Calibration | SegmentedCalibration, ax: Axes | N
         ax.set_ylabel(ALPHA_LABEL)
         ax.margins(y=0.16)  # names of the rings stand in it
         note = "bars: 3σ, readings"
-        if calibration.scale != Scale.MEAN_ONE:
-            scale = typical(calibration.systematic_error, alpha)
+        if {one.scale for one in by_number(calibration).values()} != {Scale.MEAN_ONE}:
+            scale = typical(calibration.column("systematic_error"), alpha)
             note += f"; common scale ±{100 * scale:.1f} % (1σ)"
         else:
-            note += f"; scale: {calibration.scale}"
+            note += f"; scale: {Scale.MEAN_ONE}"
         ax.set_title(note)
         if own:
             panels = ax.figure.add_gridspec(2, 1, height_ratios=(3, 2))
@@ -66,7 +67,7 @@ def plot_actuators(calibration: Calibration | SegmentedCalibration, ax: Axes | N
     return ax
 
 
-def plot_errors(calibration: Calibration | SegmentedCalibration, ax: Axes | None = None) -> Axes:
+def plot_errors(calibration: AnyCalibration, ax: Axes | None = None) -> Axes:
     """Draw the errors of alpha per actuator, ring by ring, relative to alpha.
 
     E_SYST from the weights and E_STAT from the readings at one sigma, E_CYCLE from the scatter of
@@ -74,15 +75,16 @@ def plot_errors(calibration: Calibration | SegmentedCalibration, ax: Axes | None
     """
     with styled_axes(ax, 0.6) as ax:
         c, few = calibration, calibration.layout.n <= NAMED
+        alpha = np.abs(c.column("alpha"))
         for name, error, mark, colour in (
-            ("E_SYST, 1σ", c.systematic_error, "_", CURVES[4]),
-            ("E_CYCLE, 3σ", c.cycle_error, "s", CURVES[1]),
-            ("E_STAT, 1σ", c.reading_error, "o", CURVES[0]),
+            ("E_SYST, 1σ", c.column("systematic_error"), "_", CURVES[4]),
+            ("E_CYCLE, 3σ", c.column("cycle_error"), "s", CURVES[1]),
+            ("E_STAT, 1σ", c.column("reading_error"), "o", CURVES[0]),
         ):
             known = error > 0.0  # false of NaN, too
             if known.any():
                 ax.semilogy(
-                    numbers_by_ring(c.layout)[known], 100 * (error / np.abs(c.alpha))[known], mark,
+                    numbers_by_ring(c.layout)[known], 100 * (error / alpha)[known], mark,
                     color=colour, markersize=2.0 if few else 1.0, markerfacecolor="none",
                     markeredgewidth=0.6, label=name,
                 )  # fmt: skip
@@ -97,7 +99,7 @@ def plot_errors(calibration: Calibration | SegmentedCalibration, ax: Axes | None
 
 
 def write_figures(
-    calibration: Calibration | SegmentedCalibration,
+    calibration: AnyCalibration,
     folder: str | os.PathLike[str],
     *,
     more: Mapping[str, Callable[[], Axes]] | None = None,
@@ -132,7 +134,9 @@ def write_figures(
     figures: dict[str, Callable[[], Axes]] = {
         "fig2-actuators": lambda: plot_layout(calibration.layout),
         "fig5-alpha": lambda: plot_actuators(calibration),
-        "fig6-alpha-map": lambda: plot_map(calibration.layout, calibration.alpha, numbers=numbers),
+        "fig6-alpha-map": lambda: plot_map(
+            calibration.layout, calibration.column("alpha"), numbers=numbers
+        ),
         **(more or {}),
     }
     return write_drawn(figures, folder, overwrite=overwrite)

@@ -7,17 +7,16 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import NamedTuple, overload
 
 import numpy as np
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.exclusion import disabled, require_known, without
 from truenewton.calibration.numbers import Imbalances, common, from_stiffness, matrix_source
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.segments import Seen, calibrate_segments
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
+from truenewton.calibration.workers import executor_for
 from truenewton.cluster import Client
 from truenewton.errors import (
     Fault,
@@ -29,7 +28,7 @@ from truenewton.errors import (
 )
 from truenewton.estimation import campaign_ml
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import Estimate, with_warnings
+from truenewton.estimation.findings.estimate import Diagnosis, Estimate, with_warnings
 from truenewton.estimation.findings.finding import Finding, distinct
 from truenewton.estimation.findings.scale_budget import typical
 from truenewton.estimation.matrix import ml as matrix_ml
@@ -50,14 +49,17 @@ from truenewton.estimation.screening.screen import (
     screen_campaign,
 )
 from truenewton.linalg import threads
-from truenewton.progress import kept_as, tell, telling
+from truenewton.progress import kept_as, tell
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.segmented import SegmentedData
+from truenewton.records.parts import Parts, has_parts
+from truenewton.records.segmented import SegmentedData, segment_couplings
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import percent
+from truenewton.statics.layout import Layout
 
 Data = Campaign | StiffnessMatrix | SegmentedData
+Seen = Array | Mapping[int, Array]  # by sensors: by those of all segments, or of each by its number
 
 
 class Known(NamedTuple):
@@ -180,13 +182,7 @@ def calibrate(
     data: SegmentedData, method: str | None = None, *, population: bool = False,
     motion: Seen | None = None, exclude: Collection[int] = (), client: Client | None = None,
     processes: int | None = None,
-) -> SegmentedCalibration: ...  # fmt: skip
-@overload
-def calibrate(
-    data: Data, method: str | None = None, *, population: bool = False,
-    motion: Seen | None = None, exclude: Collection[int] = (), client: Client | None = None,
-    processes: int | None = None,
-) -> Calibration | SegmentedCalibration: ...  # fmt: skip
+) -> Parts[Calibration]: ...  # fmt: skip
 def calibrate(
     data: Data,
     method: str | None = None,
@@ -196,7 +192,7 @@ def calibrate(
     exclude: Collection[int] = (),
     client: Client | None = None,
     processes: int | None = None,
-) -> Calibration | SegmentedCalibration:
+) -> AnyCalibration:
     """Find alpha of every actuator.
 
     Parameters
@@ -251,9 +247,11 @@ def calibrate(
     method, known = asked(data, method, population=population, motion=motion)
     ids = sorted(set(exclude))
     require_known(data.layout, ids)
-    if isinstance(data, SegmentedData):
-        one = partial(_of_segment, method=method, population=population, client=client, exclude=ids)
-        return calibrate_segments(data, one, motion, 1 if client is not None else processes)
+    if has_parts(data):
+        one = partial(calibrate, method=method, population=population, client=client)
+        of_all = _of_segments(data, one, motion, ids, 1 if client is not None else processes)
+        warn_of(of_all)
+        return of_all
     left = disabled(data, ids)
     if isinstance(left, Campaign):
         estimate = METHODS[method].of_cycles(screen_campaign(left, client), known)
@@ -281,18 +279,41 @@ def _of_matrix(
     return made_of(found)
 
 
-def _of_segment(
-    body: Campaign | StiffnessMatrix, *, exclude: list[int], **options: Any
-) -> Calibration:
-    """Calibrate a segment without those of the excluded actuators that stand behind it."""
-    own = set(body.layout.id.tolist())
-    with telling(lambda *_: None):  # what is found of one segment is no result of all
-        made: Calibration = calibrate(body, exclude=own.intersection(exclude), **options)
-    return made
+def _of_segments(
+    data: SegmentedData,
+    solve: Callable[..., Calibration],
+    motion: Seen | None,
+    excluded: Sequence[int],
+    processes: int | None,
+) -> Parts[Calibration]:
+    """Calibrate each segment by itself; one whose stiffness is coupled to others says so."""
+
+    def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], Calibration]:
+        seen = seen_of(motion, data.layout, number)
+        return partial(solve, motion=seen, exclude=data.own(number, excluded))
+
+    made = data.solved(solver, "alpha", executor_for(data.layout, processes))
+    found = dict(made.found)
+    couplings = {} if data.stiffness is None else segment_couplings(data.stiffness)
+    for number, (size, own) in couplings.items():
+        if number in found:
+            diagnosis = found[number].diagnosis or Diagnosis()
+            coupled = Finding.of(Code.SEGMENTS_COUPLED, size=size, own=own)
+            diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, coupled))
+            found[number] = replace(found[number], diagnosis=diagnosis)
+    return replace(made, found=found)
+
+
+def seen_of(motion: Seen | None, layout: Layout, number: int) -> Array | None:
+    """Return what the sensors of one segment see, (6, k, k) or (k, k) of its k actuators."""
+    if motion is None or isinstance(motion, Mapping):
+        return None if motion is None else motion[number]
+    own = np.asarray(layout.segment) == number
+    return np.asarray(motion[..., own, :][..., own])
 
 
 def asked(
-    data: Campaign | StiffnessMatrix | SegmentedData,
+    data: Data,
     method: str | None,
     *,
     population: bool,
@@ -323,7 +344,7 @@ def asked(
             remedy="leave the mirror out, or use reciprocity or auto",
             got=method,
         )
-    if isinstance(motion, Mapping) and not isinstance(data, SegmentedData):
+    if isinstance(motion, Mapping) and not has_parts(data):
         raise UnknownName(
             "motion is given by segment, and the data are of a mirror in one piece",
             remedy="give the (6, n, n) or (n, n) motion of that mirror",

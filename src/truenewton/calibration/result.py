@@ -25,6 +25,7 @@ from truenewton.estimation.matrix.facts import Symmetry
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.format import quantities
+from truenewton.records.parts import Parts
 from truenewton.records.source import Source
 from truenewton.rounding import counted, html_table
 from truenewton.statics.layout import Layout
@@ -226,6 +227,10 @@ class Calibration:
         variances = np.diag(self.covariance)[unknowns.torques]
         return np.asarray(np.sqrt(variances).reshape(-1, 2))
 
+    def column(self, name: str) -> Array:
+        """Return (n,) a quantity of the actuators by its name, as `Parts.column` does."""
+        return np.asarray(getattr(self, name))
+
     def of_sensors(self, name: str) -> Array:
         """Return (n,) an attribute of the sensors, as 'gain'; NaN of those that are not fitted."""
         fitted = {s.actuator: getattr(s, name) for s in self.sensors if s.state == "fitted"}
@@ -254,7 +259,7 @@ class Calibration:
         from truenewton.figures.style import on_screen
 
         with on_screen():
-            return plot_map(self.layout, self.alpha, ax)
+            return plot_map(self.layout, self.column("alpha"), ax)
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the calibration in the form that the name ends in (docs/files.md).
@@ -269,3 +274,6 @@ class Calibration:
         from truenewton.calibration.written import write_calibration
 
         write_calibration(self, path, overwrite=overwrite)
+
+
+AnyCalibration = Calibration | Parts[Calibration]

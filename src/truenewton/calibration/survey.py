@@ -6,18 +6,26 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.arrays import Array
 from truenewton.calibration.methods import (
     Known,
+    Seen,
     asked,
     calibrate,
     calibration_of,
     estimate_alpha,
     refusals,
+    seen_of,
 )
-from truenewton.calibration.segments import Seen, seen_of
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import Verdict, no_alpha
-from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
+from truenewton.calibration.words import (
+    rejected_lines,
+    rejected_values,
+    row,
+    summary_lines,
+    summary_values,
+    verdict_lines,
+)
 from truenewton.errors import (
     Fault,
     FormatError,
@@ -33,27 +41,37 @@ from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign
+from truenewton.records.parts import Parts
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, with_error
 
 
 def survey(
-    data: Campaign | StiffnessMatrix,
+    data: Campaign | StiffnessMatrix | SegmentedData | AnyCalibration,
     method: str | None = None,
     *,
     population: bool = False,
-    motion: Array | None = None,
+    motion: Seen | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
     """Return what data hold, for scripts and for people.
 
     Parameters
     ----------
     data
-        A campaign or a stiffness matrix.
+        A campaign or a stiffness matrix, of one body or of several segments; or a calibration.
     method, population, motion
         As in `calibrate`; (6, n, n).
     """
+    if isinstance(data, Calibration):
+        what = f"a calibration, method {data.method}, scale {data.scale}"
+        return {"holds": "calibration", **summary_values(data)}, [what, *summary_lines(data)]
+    if isinstance(data, Parts):
+        what = "a calibration of several segments"
+        values = {"holds": "segmented calibration", **summary_values(data)}
+        return values, [what, *summary_lines(data)]
+    if isinstance(data, SegmentedData):
+        return _survey_segments(data, method, population, motion)
     # Reciprocity of a matrix would keep people waiting.
     by_balance = isinstance(data, StiffnessMatrix) and method is None and motion is None
     method = "ml" if by_balance else method
@@ -96,23 +114,16 @@ def survey(
     return values, lines
 
 
-def survey_segments(
-    data: SegmentedData,
-    method: str | None = None,
-    *,
-    population: bool = False,
-    motion: Seen | None = None,
+def _survey_segments(
+    data: SegmentedData, method: str | None, population: bool, motion: Seen | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return what data of several segments hold, for scripts and for people: each by itself.
-
-    Parameters as of `survey`; ``motion`` is of all segments.
-    """
+    """Return what data of several segments hold, each by itself."""
     parts, lines = [], [f"data of {data.instrument}: {counted(data.numbers, 'segment')}"]
     levels = []
     for number in telling_of(data.numbers, len(data.numbers), "segments"):
         of_it = seen_of(motion, data.layout, number)
         try:
-            body = data.segment(number)
+            body = data.part(number)
             values, told = survey(body, method, population=population, motion=of_it)
         except (FormatError, GeometryError) as error:
             verdict = no_alpha([Fault(error.fault, error.remedy)])

@@ -27,11 +27,11 @@ from truenewton.estimation.findings.finding import Finding, distinct
 from truenewton.estimation.findings.scale_budget import typical
 from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.paper.identifiability import similar_loads
+from truenewton.records.parts import Parts
 from truenewton.rounding import with_error
 
 if TYPE_CHECKING:
-    from truenewton.calibration.result import Calibration
-    from truenewton.calibration.segmented import SegmentedCalibration
+    from truenewton.calibration.result import AnyCalibration, Calibration
 
 ZERO_SIGMAS = 3.0  # within which alpha is 0
 REGARDLESS = "to use it regardless, for a diagnosis only: --anyway (in Python: force=True)"
@@ -101,12 +101,12 @@ def verdict_on(calibration: Calibration) -> Verdict:
     return judged([*_rejecting(calibration), *_of_data(calibration), *_of_result(calibration)])
 
 
-def verdict_on_segments(c: SegmentedCalibration) -> Verdict:
+def verdict_on_parts(c: Parts[Calibration]) -> Verdict:
     """Judge a mirror in several segments: each finding names its segments.
 
     It can be used as far as a segment can.
     """
-    of_each = {number: one.verdict for number, one in c.segments.items()}
+    of_each = {number: one.verdict for number, one in c.found.items()}
     of_each |= {number: no_alpha(faults) for number, faults in c.refused.items()}
     every = [(n, each) for n, one in sorted(of_each.items()) for each in one.faults]
     whole = judged(list(_of_segments(every)))
@@ -138,9 +138,7 @@ def _without_numbers(one: Finding | None) -> Hashable:
     return *about, words, _without_numbers(one.cause)
 
 
-def refuse_unusable(
-    calibration: Calibration | SegmentedCalibration, *, force: bool, path: object = None
-) -> None:
+def refuse_unusable(calibration: AnyCalibration, *, force: bool, path: object = None) -> None:
     """Raise `NotToBeUsed` where a calibration is rejected, unless forced.
 
     Raises
@@ -154,7 +152,54 @@ def refuse_unusable(
         raise NotToBeUsed(f"{verdict.level}: {first.fault}", remedy=remedy.lstrip("; "), path=path)
 
 
-def warn_of(calibration: Calibration | SegmentedCalibration, stacklevel: int = 3) -> None:
+def without_unusable(c: Parts[Calibration]) -> Parts[Calibration]:
+    """Return it without the segments whose verdict is 'rejected'; itself if they all are."""
+    judged = {number: one.verdict for number, one in c.found.items()}
+    out = {n: v.faults for n, v in judged.items() if v.level <= Level.REJECTED}
+    if not out or len(out) == len(judged):
+        return c
+    named = {
+        n: (
+            Fault(f"{Level.REJECTED}: {first.fault}", first.remedy),
+            *(Fault(each.fault, each.remedy) for each in others),
+        )
+        for n, (first, *others) in out.items()
+    }
+    kept = {number: one for number, one in c.found.items() if number not in out}
+    return replace(c, found=kept, refused={**c.refused, **named})
+
+
+def usable(calibration: AnyCalibration, *, force: bool, path: object = None) -> AnyCalibration:
+    """Return a calibration; of several segments those whose verdict is not 'rejected'.
+
+    Parameters
+    ----------
+    calibration
+        Of one body or of several segments.
+    force
+        Take what is rejected, too.
+    path
+        Its file, which is then named as the reason why a segment has no alpha.
+
+    Raises
+    ------
+    NotToBeUsed
+        All of it is rejected.
+    """
+    refuse_unusable(calibration, force=force, path=path)
+    if not isinstance(calibration, Parts):
+        return calibration
+    kept = calibration if force else without_unusable(calibration)
+    if path is not None:
+        lacking = {}
+        for number, ((fault, remedy), *_) in kept.refused.items():
+            anyway = f"; {REGARDLESS}" if number in calibration.found else ""
+            lacking[number] = (Fault(f"{path} gives no alpha: {fault}", remedy + anyway),)
+        kept = replace(kept, refused=lacking)
+    return kept
+
+
+def warn_of(calibration: AnyCalibration, stacklevel: int = 3) -> None:
     """Warn in Python of a calibration that is doubtful or rejected.
 
     Warns

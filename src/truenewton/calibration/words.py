@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.result import Calibration
+from truenewton.arrays import Array
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.scale_faults import NO_ERROR, scale_limit
-from truenewton.calibration.verdict import Verdict, rejected_sentence
+from truenewton.calibration.verdict import Verdict, no_alpha, rejected_sentence
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import NoiseSource, RejectedRow, Scale
@@ -18,6 +20,9 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.findings.scale_budget import scale_budget, typical
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.records.campaign import Campaign
+from truenewton.records.parts import Parts, has_parts
+from truenewton.records.segmented import SegmentedData
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, percent, significant, to_digits, with_error
 
 MEANINGS = {
@@ -34,13 +39,24 @@ NOISE_FROM = {
 }
 
 
-def summary_lines(calibration: Calibration) -> Iterator[str]:
-    """Yield what was found, how sure it is, and what limits it."""
+def all_lines(
+    calibration: AnyCalibration, data: Campaign | StiffnessMatrix | SegmentedData
+) -> Iterator[str]:
+    """Yield the summary of a calibration; of one body the imbalances and rejected rows, too."""
+    yield from summary_lines(calibration)
+    if not has_parts(calibration):
+        yield from imbalance_lines(calibration.imbalances)
+        if isinstance(data, Campaign):
+            yield from rejected_lines(data, calibration.rejected_rows)
+
+
+def summary_lines(calibration: AnyCalibration) -> Iterator[str]:
+    """Yield what was found, how sure it is, and what limits it; segment by segment."""
     c = calibration
     yield headline(c)
     for name, value, note in summary_rows(c):
         yield row(name, value, note)
-    limit = scale_limit(c)
+    limit = None if has_parts(c) else scale_limit(c)
     if limit is not None:
         yield f"  {as_sentences(limit)}"
     yield from verdict_lines(c.verdict, but=limit)
@@ -92,9 +108,11 @@ def imbalance_lines(imbalances: Sequence[Imbalance]) -> Iterator[str]:
             yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
 
 
-def summary_values(calibration: Calibration) -> dict[str, Any]:
+def summary_values(calibration: AnyCalibration) -> dict[str, Any]:
     """Return the same figures for a script."""
     c = calibration
+    if has_parts(c):
+        return _values_of_parts(c)
     return {
         "instrument": c.instrument,
         "date": c.date.isoformat(),
@@ -118,14 +136,7 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
                 c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
             )
         ],
-        "actuators": {
-            "id": c.layout.id,
-            "alpha": c.alpha,
-            "e_alpha": c.error,
-            "e_stat": c.reading_error,
-            "e_syst": c.systematic_error,
-            "e_cycle": c.cycle_error,
-        },
+        "actuators": {"id": c.layout.id, **_actuator_values(c)},
         "chi2": c.chi2,
         "degrees_of_freedom": c.degrees_of_freedom,
         "goodness": asdict(c.goodness) if c.goodness else None,
@@ -145,9 +156,50 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def headline(calibration: Calibration) -> str:
+def _values_of_parts(c: Parts[Calibration]) -> dict[str, Any]:
+    return {
+        "instrument": c.instrument,
+        "date": _first_date(c).isoformat(),
+        "verdict": c.verdict.values,
+        "actuators": {
+            "id": c.layout.id,
+            "segment": c.layout.segment,
+            **_actuator_values(c),
+        },
+        "segments": [
+            {"segment": number, **summary_values(c.found[number])}
+            if number in c.found
+            else {"segment": number, "verdict": no_alpha(c.refused[number]).values}
+            for number in c.numbers
+        ],
+    }
+
+
+def _actuator_values(c: AnyCalibration) -> dict[str, Array]:
+    """Return (n,) alpha and its errors by their names."""
+    return {
+        "alpha": c.column("alpha"),
+        "e_alpha": c.column("error"),
+        "e_stat": c.column("reading_error"),
+        "e_syst": c.column("systematic_error"),
+        "e_cycle": c.column("cycle_error"),
+    }
+
+
+def _first_date(c: Parts[Calibration]) -> datetime.datetime:
+    return min(one.date for one in c.found.values())
+
+
+def headline(calibration: AnyCalibration) -> str:
     """Return what was calibrated, from how much."""
     c, on = calibration, calibration.layout.enabled
+    if has_parts(c):
+        return (
+            f"{c.instrument}, {_first_date(c):%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
+            + (f" ({(~on).sum()} disabled)" if not on.all() else "")
+            + f" of {counted(c.numbers, 'segment')}"
+            + (f", {len(c.refused)} without alpha" if c.refused else "")
+        )
     return (
         f"{c.instrument}, {c.date:%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
         + (f" ({(~on).sum()} disabled)" if not on.all() else "")
@@ -161,9 +213,12 @@ def headline(calibration: Calibration) -> str:
     )
 
 
-def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
+def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
     """Yield name, value and note of what was found, how sure it is, and what limits it."""
     c, ids = calibration, calibration.layout.id
+    if has_parts(c):
+        yield from _rows_of_parts(c)
+        return
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ends = " .. ".join(to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high))
     ratio = "relative, mean 1" if c.scale == Scale.MEAN_ONE else "true N / commanded N"
@@ -212,6 +267,22 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         yield "condition", f"{c.condition:.3g}", note
     if np.isfinite(c.solved_condition):
         yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"
+
+
+def _rows_of_parts(c: Parts[Calibration]) -> Iterator[tuple[str, str, str]]:
+    """Yield name, range of alpha and what is known of each segment."""
+    for number in c.numbers:
+        if number in c.refused:
+            yield f"segment {number}", str(Level.NONE), c.refused[number][0].fault
+            continue
+        one = c.found[number]
+        low, high = int(np.nanargmin(one.alpha)), int(np.nanargmax(one.alpha))
+        ends = " .. ".join(to_digits(float(one.alpha[k]), float(one.error[k])) for k in (low, high))
+        error = percent(typical(one.error, one.alpha))
+        bias = ""
+        if one.loads:
+            bias = f", B = {with_error(one.bias_force, one.bias_force_error)} N"
+        yield f"segment {number}", f"alpha {ends}", f"{one.verdict.level}; error {error}{bias}"
 
 
 def _symmetry(c: Calibration) -> Iterator[tuple[str, str, str]]:

@@ -13,14 +13,19 @@ import subprocess
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import numpy as np
+
+from truenewton.statics.layout import Layout
+
+LARGE = 200  # actuators of a segment: below, it is solved before a process has started
 ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
-Given = TypeVar("Given")
 Answer = TypeVar("Answer")
 
 
@@ -31,69 +36,79 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def side_by_side(
-    calls: Sequence[Callable[[], tuple[Callable[..., Answer], Any]]], processes: int
-) -> Iterator[Answer]:
-    """Yield what calls return, in their order, so many at once.
+@dataclass(frozen=True)
+class Processes:
+    """An executor: so many processes at once, each for one call.
 
-    Parameters
-    ----------
-    calls
-        Each gives a function of a module, or a partial of one, and its only argument, when its turn
-        comes: what it needs lies in memory no earlier.
-    processes
-        How many at once.
-
-    Raises
-    ------
-    ChildProcessError
-        A process ended without an answer. What a call raises is raised here.
+    A function that it maps is one of a module, or a partial of one.
     """
-    running: set[subprocess.Popen[bytes]] = set()
-    guard, stopped = threading.Lock(), threading.Event()
 
-    def run(call: Callable[[], tuple[Callable[..., Answer], Any]]) -> Answer:
-        work = pickle.dumps(call(), protocol=pickle.HIGHEST_PROTOCOL)
-        with guard:
-            if stopped.is_set():
-                raise ChildProcessError("stopped")
-            process = subprocess.Popen(
-                [sys.executable, "-m", __name__],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(sys.path)},
-            )  # fmt: skip
-            running.add(process)
-        out, said = process.communicate(work)
-        running.discard(process)
-        if process.returncode:
-            last = "".join(said.decode(errors="replace").strip().splitlines()[-1:])
-            raise ChildProcessError(
-                f"a process ended with {process.returncode}: {last or 'memory may be short'}"
-            )
-        good, answer = pickle.loads(out)
-        if not good:
-            raise answer
-        return answer  # type: ignore[no-any-return]
+    number: int
 
-    with ThreadPoolExecutor(processes) as threads:
-        try:
-            yield from threads.map(run, calls)
-        except BaseException:
+    def map(self, fn: Callable[..., Answer], *iterables: Iterable[Any]) -> Iterator[Answer]:
+        """Yield what a function returns of items, in their order.
+
+        Raises
+        ------
+        ChildProcessError
+            A process ended without an answer. What a call raises is raised here.
+        """
+        running: set[subprocess.Popen[bytes]] = set()
+        guard, stopped = threading.Lock(), threading.Event()
+
+        def run(*items: Any) -> Answer:
+            work = pickle.dumps((fn, items), protocol=pickle.HIGHEST_PROTOCOL)
             with guard:
-                stopped.set()
-                for process in running:
-                    process.kill()
-            raise
+                if stopped.is_set():
+                    raise ChildProcessError("stopped")
+                process = subprocess.Popen(
+                    [sys.executable, "-m", __name__],
+                    stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                    env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(sys.path)},
+                )  # fmt: skip
+                running.add(process)
+            out, said = process.communicate(work)
+            running.discard(process)
+            if process.returncode:
+                last = "".join(said.decode(errors="replace").strip().splitlines()[-1:])
+                raise ChildProcessError(
+                    f"a process ended with {process.returncode}: {last or 'memory may be short'}"
+                )
+            good, answer = pickle.loads(out)
+            if not good:
+                raise answer
+            return answer  # type: ignore[no-any-return]
+
+        with ThreadPoolExecutor(self.number) as threads:
+            try:
+                yield from threads.map(run, *iterables)
+            except BaseException:
+                with guard:
+                    stopped.set()
+                    for process in running:
+                        process.kill()
+                raise
+
+
+def executor_for(layout: Layout, processes: int | None) -> Processes | None:
+    """Return what works on so many segments of a mirror at once; None for one after the other.
+
+    Unless given, as many as there are processors, if segments are large.
+    """
+    if processes is None:
+        largest = int(np.unique(np.asarray(layout.segment), return_counts=True)[1].max())
+        processes = processors() if largest >= LARGE and sys.executable else 1
+    return Processes(min(processes, len(layout.segments))) if processes > 1 else None
 
 
 def main() -> None:
     """Answer one call."""
-    function, argument = pickle.load(sys.stdin.buffer)
+    function, items = pickle.load(sys.stdin.buffer)
     answers, sys.stdout = sys.stdout.buffer, sys.stderr  # nothing else may come between
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            answer = True, function(argument)
+            answer = True, function(*items)
         except Exception as error:
             answer = False, error
     pickle.dump(answer, answers, protocol=pickle.HIGHEST_PROTOCOL)

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.calibration.file import ACTUATORS, CALIBRATION
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.segment_file import ALPHA, SEGMENTED, versions_of
-from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.file import ACTUATORS, CALIBRATION, calibration_from
+from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.verdict import verdict_on_parts
 from truenewton.calibration.words import as_sentences
 from truenewton.errors import OutputExists, OutputFailed
+from truenewton.estimation.findings.code import Level
 from truenewton.files.fits import write_fits
 from truenewton.files.format import columns_of, header_of
 from truenewton.files.outputs import file_beside
+from truenewton.records.parts import KINDS, PartKind, has_parts, write_parts
 
-AnyCalibration = Calibration | SegmentedCalibration
 WHOLE = (".fits", ".fits.gz")
 LACKS = {  # of the other forms, and what they leave out
     ".ecsv": "the table and the verdict; no covariance",
@@ -70,9 +70,8 @@ def write_calibration(
     OutputExists, OutputFailed
     """
     suffix = suffix_of(path)
-    if suffix in WHOLE and isinstance(calibration, SegmentedCalibration):
-        parts = versions_of(calibration)
-        write_fits(path, SEGMENTED, calibration, overwrite=overwrite, **parts)
+    if suffix in WHOLE and has_parts(calibration):
+        write_parts(calibration, path, overwrite=overwrite)
         return
     if suffix in WHOLE:
         write_fits(path, CALIBRATION, calibration, overwrite=overwrite)
@@ -80,7 +79,7 @@ def write_calibration(
     with file_beside(path, overwrite=overwrite) as temporary:
         if suffix == ".npy":
             with temporary.open("wb") as file:
-                np.save(file, calibration.alpha, allow_pickle=False)
+                np.save(file, calibration.column("alpha"), allow_pickle=False)
         else:
             _write_table(calibration, temporary, suffix)
 
@@ -89,15 +88,40 @@ def _write_table(calibration: AnyCalibration, path: Path, suffix: str) -> None:
     """Write the table with all digits; ECSV holds units, keywords and the verdict's faults, too."""
     from astropy.table import Column, Table
 
-    table, several = Table(), isinstance(calibration, SegmentedCalibration)
-    for name, _, unit, values in columns_of(calibration, ALPHA if several else ACTUATORS):
+    form, actuators = CALIBRATION, ACTUATORS
+    if has_parts(calibration):
+        form, actuators = CALIBRATIONS.whole, CALIBRATIONS.actuators
+    table = Table()
+    for name, _, unit, values in columns_of(calibration, actuators):
         if name not in ("NZ", "ENABLED"):
             table[name] = Column(values, unit=unit)
     if suffix == ".ecsv":
-        for name, value, _ in header_of(
-            calibration, SEGMENTED if several else CALIBRATION
-        ):  # YAML knows plain types alone
+        for name, value, _ in header_of(calibration, form):  # YAML knows plain types alone
             table.meta[name] = str(value) if isinstance(value, str) else np.asarray(value).item()
         faults = calibration.verdict.faults
         table.meta["FAULTS"] = [as_sentences(each) for each in faults]
     table.write(path, format=f"ascii{suffix}")
+
+
+CALIBRATIONS = PartKind(
+    CALIBRATION,
+    calibration_from,
+    "ALPHA",
+    {
+        "VERDICT": str(Level.NONE),
+        "METHOD": "",
+        "SCALE": "",
+        "NSHAPES": 0,
+        "NREJECT": 0,
+        "BIAS": np.nan,
+        "E_BIAS": np.nan,
+        "NOISE": np.nan,
+        "FITCHI2": np.nan,
+        "DOF": 0,
+    },
+    verdict=verdict_on_parts,
+    html=Calibration._repr_html_,
+    plot_map=Calibration.plot_map,
+    write=write_calibration,
+)
+KINDS[Calibration] = CALIBRATIONS

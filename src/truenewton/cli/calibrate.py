@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.calibration.result import AnyCalibration
 
 
 def run(
@@ -36,31 +40,20 @@ def run(
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
     from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.result import Calibration
-    from truenewton.calibration.segment_words import segmented_lines, segmented_values
-    from truenewton.calibration.segmented import SegmentedCalibration
-    from truenewton.calibration.verdict import refuse_unusable
-    from truenewton.calibration.words import (
-        imbalance_lines,
-        rejected_lines,
-        summary_lines,
-        summary_values,
-    )
+    from truenewton.calibration.verdict import usable
+    from truenewton.calibration.words import all_lines, summary_values
     from truenewton.calibration.written import lacking, suffix_of
-    from truenewton.cli.terminal import about, busy, print_result
+    from truenewton.cli.terminal import about, busy, print_result, schema_of
     from truenewton.cluster import connected
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import of_segment, read_data
-    from truenewton.records.campaign import Campaign
+    from truenewton.reading import read_data
 
     if output is not None:
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
-    schema, values = "calibrate", None
     out = options.ids(exclude, "--exclude") if exclude else ()
     with connected(cluster) as client:
-        data = read_data(*paths, client=client)
-        data = data if segment is None else of_segment(data, segment, paths[0])
+        data = read_data(*paths, segment=segment, client=client)
         with about(paths):
             motion = options.motion_of(mirror, data)
             with busy("calibrating", keeping=True) as waiting:
@@ -74,18 +67,11 @@ def run(
                     client=client,
                     processes=processes,
                 )
-                found: Calibration | SegmentedCalibration = waiting.end_of(work)
-            refuse_unusable(found, force=force)
-            if isinstance(found, SegmentedCalibration):
-                found = found if force else found.without_unusable()
-                lines, schema = [*segmented_lines(found)], "calibrate-segments"
-                values = segmented_values(found) if json else None
-            else:
-                lines = [*summary_lines(found), *imbalance_lines(found.imbalances)]
-                if isinstance(data, Campaign):
-                    lines += rejected_lines(data, found.rejected_rows)
-                values = summary_values(found) if json else None
+                found: AnyCalibration = waiting.end_of(work)
+            found = usable(found, force=force)
+    lines, values = [*all_lines(found, data)], summary_values(found) if json else None
     if output is not None:
         found.write(output, overwrite=overwrite)
         lines += filter(None, [lacking(found, output)])
+    schema = schema_of("calibrate", found)
     print_result(lines, output, values=values, schema=schema, quiet=quiet)

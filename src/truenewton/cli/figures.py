@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -21,34 +20,17 @@ def run(
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
     from truenewton.calibration.figures import write_figures
-    from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.result import Calibration
-    from truenewton.calibration.segmented import SegmentedCalibration
     from truenewton.cli.terminal import about, busy, print_result
-    from truenewton.errors import RankDeficient
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import of_segment, read
-    from truenewton.records.segmented import SegmentedData
+    from truenewton.reading import read_chosen
     from truenewton.report.figures import still_figures
-    from truenewton.report.investigate import investigate
+    from truenewton.report.investigate import investigate, require_calibration
 
     refuse_existing(output, overwrite=overwrite)
     with busy("drawing"), about(paths):
-        data = read(*paths)
-        data = data if segment is None else of_segment(data, segment, paths[0])
-        more: dict[str, Any] = {}
-        made: Calibration | SegmentedCalibration | None
-        if isinstance(data, SegmentedData):
-            made = calibrate(data)
-        elif isinstance(data, SegmentedCalibration):
-            made = data
-        else:
-            findings = investigate(data)
-            made = findings.calibration
-            if made is None:
-                fault, remedy = findings.faults[0]
-                raise RankDeficient(fault, remedy=remedy)
-            more |= still_figures(findings)
+        data = read_chosen(*paths, segment=segment)
+        findings = investigate(data)
+        made, more = require_calibration(findings), still_figures(findings)
         written = write_figures(made, output, more=more, numbers=numbers, overwrite=overwrite)
     verdict = str(made.verdict)
     values = {"verdict": verdict, "written": [str(path) for path in written]}

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
     from truenewton.arrays import Array
-    from truenewton.calibration.segments import Seen
-    from truenewton.records.campaign import Campaign
-    from truenewton.records.segmented import SegmentedData
-    from truenewton.records.stiffness_matrix import StiffnessMatrix
+    from truenewton.calibration.methods import Seen
+    from truenewton.reading import Read
     from truenewton.statics.layout import Layout
 
 METHOD = typer.Option(
@@ -55,18 +53,10 @@ PATHS = typer.Argument(
 )
 
 
-@overload
-def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix) -> Array | None: ...
-@overload
-def motion_of(mirror: str | None, data: SegmentedData) -> Seen | None: ...
-@overload
-def motion_of(
-    mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedData
-) -> Seen | None: ...
-def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedData) -> Seen | None:
+def motion_of(mirror: str | None, data: Read) -> Seen | None:
     """Return (6, n, n) what sensors see of the glass of data, None without --mirror.
 
-    Of several segments that of each by its number.
+    Of several segments that of each by its number; None of a calibration, which is ready.
 
     Raises
     ------
@@ -77,7 +67,10 @@ def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedDa
     from truenewton.mirrors.file import whole_mirror_from
     from truenewton.mirrors.segmented import SegmentedMirror
     from truenewton.mirrors.sensor_model import segment_sensor_models, sensor_model
+    from truenewton.reading import holds_alpha
 
+    if holds_alpha(data):
+        return None
     known = whole_mirror_from(mirror)
     if isinstance(known, SegmentedMirror) and data.layout.segments:
         return segment_sensor_models(known, data.layout)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -27,42 +26,27 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
-    from truenewton.calibration.verdict import refuse_unusable
+    from truenewton.calibration.verdict import usable
     from truenewton.calibration.written import suffix_of
-    from truenewton.cli.terminal import about, busy, print_result
+    from truenewton.cli.terminal import REFUSALS, about, busy, print_result, schema_of
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import of_segment, read
+    from truenewton.reading import read_chosen
     from truenewton.recalibration.fit import recalibrate
-    from truenewton.recalibration.segments import recalibrate_segments
-    from truenewton.recalibration.words import lines, segmented_lines, segmented_values, values
-    from truenewton.records.campaign import Campaign
-    from truenewton.records.segmented import SegmentedData
+    from truenewton.recalibration.words import lines, values
+    from truenewton.records.parts import apply
 
     auto = actuators.strip().casefold() == "auto"
     ids = [] if auto else options.ids(actuators, "--actuators")
     if output is not None:
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
-    with busy("recalibrating"), about(paths):
-        data = read(*paths)
-        if isinstance(data, SegmentedData) and segment is None:
-            several = recalibrate_segments(data, known, ids, force=force)
-            refuse_unusable(several.calibration, force=force)
-            whole = several.calibration
-            several = replace(several, calibration=whole if force else whole.without_unusable())
-            found: Any = several.calibration
-            told, schema = segmented_lines(several), "recalibrate-segments"
-            as_values = segmented_values(several) if json else None
-        else:
-            body = of_segment(data, segment, paths[0])
-            if not isinstance(body, Campaign):
-                remedy = "give the run after the change"
-                raise FormatError("holds no cycles", remedy=remedy, path=paths[0])
-            made = recalibrate(body, known, ids, force=force)
-            refuse_unusable(made.calibration, force=force)
-            found, told, schema = made.calibration, lines(made), "recalibrate"
-            as_values = values(made) if json else None
+    with busy("recalibrating"), about(paths, (*REFUSALS, FormatError)):
+        data = read_chosen(*paths, segment=segment)
+        made = recalibrate(data, known, ids, force=force)
+        calibration = usable(apply(attrgetter("calibration"), made), force=force)
+    told, as_values = lines(made, calibration), values(made, calibration) if json else None
     if output is not None:
-        found.write(output, overwrite=overwrite)
+        calibration.write(output, overwrite=overwrite)
+    schema = schema_of("recalibrate", made)
     print_result(told, output, values=as_values, schema=schema, quiet=quiet)

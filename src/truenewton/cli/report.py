@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.report.verdict import Reported
 
 
 def run(
@@ -26,16 +30,12 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
-    from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.result import Calibration
-    from truenewton.calibration.segmented import SegmentedCalibration
     from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import of_segment, read, read_calibrations
-    from truenewton.records.segmented import SegmentedData
-    from truenewton.report.change import Change, change
-    from truenewton.report.investigate import Findings, investigate
+    from truenewton.reading import read_calibrations, read_chosen
+    from truenewton.report.change import change
+    from truenewton.report.investigate import investigate
     from truenewton.report.page.page import write_report
     from truenewton.report.verdict import headline_of
 
@@ -44,24 +44,17 @@ def run(
             "is no name for a page", remedy="let -o end in .html (a browser prints it)", path=output
         )
     refuse_existing(output, overwrite=overwrite)
-    with busy("looking into it"):
+    findings: Reported
+    with busy("looking into it"), about(paths):
         pair = read_calibrations(*paths, segment=segment) if len(paths) == 2 else ()
         if pair:
             edges = options.edges_of(mirror, pair[0].layout)
-            findings: Findings | Change | SegmentedCalibration = change(*pair)
+            findings = change(*pair)
         else:
-            data = read(*paths)
-            data = data if segment is None else of_segment(data, segment, paths[0])
+            data = read_chosen(*paths, segment=segment)
             edges = options.edges_of(mirror, data.layout)
-            if isinstance(data, SegmentedCalibration):
-                findings = data
-            elif isinstance(data, SegmentedData):
-                seen = options.motion_of(mirror, data)
-                with about(paths):
-                    findings = calibrate(data, method, population=population, motion=seen)
-            else:
-                known = None if isinstance(data, Calibration) else options.motion_of(mirror, data)
-                findings = investigate(data, method, population=population, motion=known)
+            motion = options.motion_of(mirror, data)
+            findings = investigate(data, method, population=population, motion=motion)
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method else []
     words += ["--population"] if population else []

@@ -15,11 +15,13 @@ from truenewton.errors import (
     NotToBeUsed,
     RankDeficient,
     TooManyOutliers,
+    TrueNewtonError,
     located,
     printable,
 )
 
 Item = TypeVar("Item")
+REFUSALS = RankDeficient, TooManyOutliers, NotConverged, NotToBeUsed  # of data
 
 
 def say(*lines: object, stream: TextIO | None = None, end: str = "\n") -> None:
@@ -36,11 +38,13 @@ def say(*lines: object, stream: TextIO | None = None, end: str = "\n") -> None:
 
 
 @contextlib.contextmanager
-def about(paths: Sequence[Path]) -> Iterator[None]:
+def about(
+    paths: Sequence[Path], kinds: tuple[type[TrueNewtonError], ...] = REFUSALS
+) -> Iterator[None]:
     """Let a refusal of data name the path that was given, if there is but one and it names none."""
     try:
         yield
-    except (RankDeficient, TooManyOutliers, NotConverged, NotToBeUsed) as error:
+    except kinds as error:
         raise located(error, paths[0]) if len(paths) == 1 else error from None
 
 
@@ -66,6 +70,13 @@ def print_result(
     say(*(() if quiet else lines), *(f"written: {path}" for path in filter(None, written)))
     if None in written and not quiet:
         say("not written; -o FILE keeps it")
+
+
+def schema_of(name: str, result: object) -> str:
+    """Return the schema of a result of one body, or that of a result of several segments."""
+    from truenewton.records.parts import has_parts
+
+    return f"{name}-segments" if has_parts(result) else name
 
 
 def table_lines(title: str, *table: Sequence[str]) -> Iterator[str]:

@@ -6,7 +6,6 @@ bases               Zernike's and Karhunen and Loeve's bases on the actuators
 turbulence          the wavefront of the atmosphere, in the pupil and on the mirror
 modal_base          residual wavefront, forces and powers of the first N modes
 findings            modal bases before and after calibration, and how they differ
-segments            modes of a mirror in several segments, side by side
 file                the modal base in files (docs/files.md)
 figures             modes on the mirror, residual, power
 summary             text for terminal and page, values for scripts

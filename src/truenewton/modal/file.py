@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from truenewton.files.outputs import files_together
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
+from truenewton.records.parts import Parts, by_number
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 
@@ -166,21 +167,22 @@ PLAIN = {
 BESIDE = ("true", "commanded", *PLAIN)
 
 
-def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Return the paths of all files of `write_modes`: the modal base first."""
+def modes_paths(path: str | os.PathLike[str], number: int = 0) -> tuple[Path, ...]:
+    """Return the paths of all files of `write_modes`: the modal base first.
+
+    The number of a segment precedes the ending.
+    """
     target = Path(path)
     stem = target.name.removesuffix(".gz").removesuffix(".fits")
-    return (target, *(target.with_name(f"{stem}.{what}.fits") for what in BESIDE))
-
-
-def numbered(path: Path, number: int) -> Path:
-    """Return the path for one segment: its number precedes the ending."""
-    stem = path.name.removesuffix(".gz").removesuffix(".fits")
-    return path.with_name(f"{stem}-{number}{path.name.removeprefix(stem)}")
+    ending = target.name.removeprefix(stem)
+    stem += f"-{number}" if number else ""
+    return tuple(
+        target.with_name(f"{stem}{end}") for end in (ending, *(f".{what}.fits" for what in BESIDE))
+    )
 
 
 def write_modes(
-    findings: ModalFindings,
+    findings: ModalFindings | Parts[ModalFindings],
     path: str | os.PathLike[str],
     limits: Budget | None = None,
     *,
@@ -197,7 +199,7 @@ def write_modes(
     findings
         From `find_modes`.
     path
-        MODES.fits.
+        MODES.fits; of several segments MODES-1.fits and so on.
     limits
         Of power and force; the number of modes within them is written, too.
     overwrite
@@ -213,9 +215,20 @@ def write_modes(
     >>> [file.name for file in files[:3]]
     ['modes.fits', 'modes.true.fits', 'modes.commanded.fits']
     """
-    paths = modes_paths(path)
+    paths = {number: modes_paths(path, number) for number in by_number(findings)}
+    every = [each for of_one in paths.values() for each in of_one]
+    with files_together(every, overwrite=overwrite) as folder:
+        for number, one in by_number(findings).items():
+            _write_into(folder, paths[number], one, limits or Budget())
+    return every
+
+
+def _write_into(
+    folder: Path, paths: Sequence[Path], findings: ModalFindings, limits: Budget
+) -> None:
+    """Write the modal base of one body into a folder, under the names of the paths."""
     base, stiffness = findings.after, findings.after.stiffness
-    written = _Written(findings, base, base.costs[0], limits or Budget())
+    written = _Written(findings, base, base.costs[0], limits)
     acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     matrix = StiffnessMatrix(
         base.matrix.instrument,
@@ -224,11 +237,9 @@ def write_modes(
         written.true,
         displaced="true",
     )
-    with files_together(paths, overwrite=overwrite) as folder:
-        target, for_true, for_commanded, *plain = (folder / path.name for path in paths)
-        write_fits(target, MODES, written)
-        write_stiffness(matrix, for_true)
-        write_stiffness(replace(matrix, stiffness=written.commanded), for_commanded)
-        for target, form in zip(plain, PLAIN.values(), strict=True):
-            write_fits(target, form, written)
-    return list(paths)
+    target, for_true, for_commanded, *plain = (folder / path.name for path in paths)
+    write_fits(target, MODES, written)
+    write_stiffness(matrix, for_true)
+    write_stiffness(replace(matrix, stiffness=written.commanded), for_commanded)
+    for target, form in zip(plain, PLAIN.values(), strict=True):
+        write_fits(target, form, written)

@@ -13,16 +13,26 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import svds
 
 from truenewton.arrays import Array
-from truenewton.calibration.methods import asked, calibrate, calibration_of, estimate_alpha
-from truenewton.calibration.result import Calibration
+from truenewton.calibration.methods import (
+    Data,
+    Seen,
+    asked,
+    calibrate,
+    calibration_of,
+    estimate_alpha,
+    seen_of,
+)
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
-from truenewton.errors import Fault, NotToBeUsed
+from truenewton.calibration.workers import executor_for
+from truenewton.errors import CampaignMismatch, Fault, NotToBeUsed, RankDeficient, UnknownName
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
@@ -39,6 +49,8 @@ from truenewton.modal.true_stiffness import TrueStiffness, indices_of, static_fo
 from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
+from truenewton.records.parts import Parts, has_parts
+from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import html_table
@@ -251,34 +263,53 @@ class ModalFindings:
         return fewest, most
 
 
+@overload
+def find_modes(
+    data: Campaign | StiffnessMatrix, calibration: Calibration | None = None,
+    atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
+    radius: float | None = None, efficiency: float = EFFICIENCY, sensor_gain: Array | None = None,
+    motion: Array | None = None, off: Sequence[int] = (), slaved: Sequence[int] = (),
+    reader: MotionReader | None = None, force: bool = False, processes: int | None = None,
+) -> ModalFindings: ...  # fmt: skip
+@overload
+def find_modes(
+    data: Data, calibration: AnyCalibration | None = None,
+    atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
+    radius: float | None = None, efficiency: float = EFFICIENCY, sensor_gain: Array | None = None,
+    motion: Seen | None = None, off: Sequence[int] = (), slaved: Sequence[int] = (),
+    reader: MotionReader | None = None, force: bool = False, processes: int | None = None,
+) -> ModalFindings | Parts[ModalFindings]: ...  # fmt: skip
 @taking_units(diameter="m", radius="m", efficiency="N W(-1/2)", sensor_gain="")
 def find_modes(
-    data: Campaign | StiffnessMatrix,
-    calibration: Calibration | None = None,
+    data: Data,
+    calibration: AnyCalibration | None = None,
     atmosphere: Atmosphere | None = None,
     *,
     diameter: float | None = None,
     radius: float | None = None,
     efficiency: float = EFFICIENCY,
     sensor_gain: Array | None = None,
-    motion: Array | None = None,
+    motion: Seen | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     reader: MotionReader | None = None,
     force: bool = False,
-) -> ModalFindings:
+    processes: int | None = None,
+) -> ModalFindings | Parts[ModalFindings]:
     """Find the stiffness modes of a mirror, and the cost of turbulence with 1, 2, ... of them.
 
     Parameters
     ----------
     data
-        Cycles with POSITION, or a measured stiffness, which takes precedence over cycles.
+        Cycles with POSITION, or a measured stiffness, which takes precedence over cycles. Each of
+        several segments has modes of its own.
     calibration
-        The source of alpha; by default the data are calibrated.
+        The source of alpha, of all segments if the data are; by default the data are calibrated.
     atmosphere
         The turbulence; by default with 0.8 arcsec.
     diameter, radius
-        Of the entrance pupil, and of the mirror that fills it [m]; see `pupil_of`.
+        Of the entrance pupil, and of the mirror that fills it [m]; see `pupil_of`. Each segment
+        fills its part of it, seen from its own middle.
     efficiency
         Commanded force per root of power [N/W^1/2].
     sensor_gain, motion, off, slaved
@@ -287,6 +318,8 @@ def find_modes(
         A reader that has read the cycles, see `motion_reader`; by default they are read.
     force
         Accept an alpha whose verdict is 'rejected'.
+    processes
+        As of `calibrate`.
 
     Raises
     ------
@@ -308,6 +341,36 @@ def find_modes(
     >>> stiffness.residual.shape  # for 1, 2, ... modes
     (45,)
     """
+    options: dict[str, Any] = {
+        "atmosphere": atmosphere, "diameter": diameter, "radius": radius, "efficiency": efficiency,
+        "sensor_gain": sensor_gain, "motion": motion, "off": off, "slaved": slaved, "force": force,
+    }  # fmt: skip
+    if has_parts(data) and (calibration is None or has_parts(calibration)):
+        return _of_segments(data, calibration, processes, **options)
+    if has_parts(data) or has_parts(calibration):
+        raise CampaignMismatch(
+            "of data and calibration one is of several segments, the other of one body",
+            remedy="choose the segment: --segment, or part(...) in Python",
+        )
+    return _of_body(data, calibration, reader, **options)
+
+
+def _of_body(
+    data: Campaign | StiffnessMatrix,
+    calibration: Calibration | None,
+    reader: MotionReader | None,
+    *,
+    atmosphere: Atmosphere | None,
+    diameter: float | None,
+    radius: float | None,
+    efficiency: float,
+    sensor_gain: Array | None,
+    motion: Array | None,
+    off: Sequence[int],
+    slaved: Sequence[int],
+    force: bool,
+) -> ModalFindings:
+    """Find the modes of one body, parameters as of `find_modes`."""
     if calibration is not None:
         refuse_unusable(calibration, force=force)
     matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, motion)
@@ -332,6 +395,53 @@ def find_modes(
         (faults[0], stiffness.asymmetry), (faults[1], stiffness.imbalance),
         _sources(reader, matrix),
     )  # fmt: skip
+
+
+def _of_segments(
+    data: SegmentedData,
+    calibration: Parts[Calibration] | None,
+    processes: int | None,
+    *,
+    diameter: float | None,
+    radius: float | None,
+    motion: Seen | None,
+    sensor_gain: Array | None,
+    off: Sequence[int],
+    slaved: Sequence[int],
+    **same: Any,
+) -> Parts[ModalFindings]:
+    """Find the modes of each segment by itself, parameters as of `find_modes`.
+
+    Raises
+    ------
+    RankDeficient, CampaignMismatch, UnknownName
+    """
+    layout = data.layout
+    apart = "" if calibration is None else calibration.layout.other_actuators(layout)
+    if apart:
+        raise CampaignMismatch(
+            f"data and calibration are of two mirrors: {apart}",
+            remedy="give both of the same mirror",
+        )
+    pupil = pupil_of(layout, diameter, radius)
+    for unknown in (name for name in (*off, *slaved) if name not in layout.id):
+        raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
+
+    def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
+        if calibration is not None and number in calibration.refused:
+            fault, remedy = calibration.refused[number][0]
+            raise RankDeficient(fault, remedy=remedy)
+        here = data.of(number)
+        own = pupil_of(layout.part(here)).radius
+        return partial(
+            find_modes, calibration=None if calibration is None else calibration.part(number),
+            radius=own, diameter=pupil.diameter * own / pupil.radius,
+            motion=seen_of(motion, layout, number),
+            sensor_gain=None if sensor_gain is None else sensor_gain[here],
+            off=data.own(number, off), slaved=data.own(number, slaved), **same,
+        )  # fmt: skip
+
+    return data.solved(solver, "modes", executor_for(layout, processes))
 
 
 def _uncalibrated(

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from truenewton.calibration.words import row, warning_lines
-from truenewton.errors import Fault
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
+from truenewton.records.parts import Parts, has_parts
 from truenewton.rounding import counted, percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns, at least
@@ -152,8 +152,13 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def lines(findings: ModalFindings, limits: Budget) -> list[str]:
-    """Return the lines of the summary."""
+def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> list[str]:
+    """Return the lines of the summary, of several segments one after the other."""
+    if has_parts(findings):
+        of_each = {number: lines(one, limits) for number, one in findings.found.items()}
+        for number, fault, remedy in findings.refusals:
+            of_each[number] = [f"segment {number}: no modes: {fault}; {remedy}"]
+        return [line for number in findings.numbers for line in of_each[number]]
     return [
         headline(findings),
         *(row(name, text) for name, text in summary_rows(findings) if text),
@@ -220,10 +225,15 @@ def _costs(findings: ModalFindings) -> Iterator[tuple[Dissipation, Dissipation |
     yield from zip(after, before, strict=True)
 
 
-def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
+def values(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> dict[str, Any]:
     """Return the values for a script."""
+    if has_parts(findings):
+        of_each = {number: values(one, limits) for number, one in findings.found.items()}
+        for number, (fault, *_) in findings.refused.items():
+            of_each[number] = {"fault": fault._asdict()}
+        return {"segments": [{"segment": k} | of_each[k] for k in findings.numbers]}
     base, measured = findings.after, findings.measured
-    values: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "instrument": base.matrix.instrument,
         "date": base.matrix.date.isoformat(),
         **_attributes(findings.calibration, "method", "scale"),
@@ -258,34 +268,12 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         ],
     }
     if measured is not None:
-        values["measured"] = _attributes(
+        figures["measured"] = _attributes(
             measured, "shapes", "rows", "residual", "misfit", "relative_error", "rigid_assumed"
         ) | {"rejected": len(measured.rejected)}
-    return values
+    return figures
 
 
 def _attributes(record: object, *names: str) -> dict[str, Any]:
     """Return some attributes of a record by their names."""
     return {name: getattr(record, name) for name in names}
-
-
-def segment_lines(found: Mapping[int, ModalFindings | Fault], limits: Budget) -> Iterator[str]:
-    """Yield the same of each segment, or why it tells no modes."""
-    for number, one in found.items():
-        if isinstance(one, Fault):
-            yield f"segment {number}: no modes: {one.fault}; {one.remedy}"
-        else:
-            yield from lines(one, limits)
-
-
-def segment_values(
-    found: Mapping[int, ModalFindings | Fault], limits: Budget
-) -> dict[str, list[dict[str, Any]]]:
-    """Return the same figures for a script."""
-    return {
-        "segments": [
-            {"segment": number}
-            | ({"fault": one._asdict()} if isinstance(one, Fault) else values(one, limits))
-            for number, one in found.items()
-        ]
-    }

@@ -3,7 +3,5 @@
 known      what the earlier calibration knows, and which errors a new run shares
 short_run  the likelihood of the short run, its bad rows, who has moved
 fit        the recalibration itself, and its result
-segments   that of several segments, side by side
-segments   the same of several segments, side by side
 words      in words and numbers: terminal, script
 """

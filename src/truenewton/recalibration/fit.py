@@ -8,8 +8,11 @@ suffices. The error of the earlier scale stays common to all (see `known.shared_
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from operator import attrgetter
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +21,7 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
+from truenewton.calibration.workers import executor_for
 from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_sf, t_sf
 from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.campaign_ml import estimate_of
@@ -31,10 +35,13 @@ from truenewton.estimation.paper.identifiability import geometry_fault, refuse
 from truenewton.estimation.problem import Problem, with_noise_from_minimum
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.screen import screen_campaign
+from truenewton.reading import Read, read
 from truenewton.recalibration.known import (
     EARLIER,
+    AnyKnown,
     EarlierCalibration,
     known_from,
+    known_of,
     shared_errors,
 )
 from truenewton.recalibration.short_run import (
@@ -48,10 +55,13 @@ from truenewton.recalibration.short_run import (
     run_from,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.parts import Parts, has_parts
+from truenewton.records.segmented import SegmentedData
 from truenewton.rounding import counted, percent
 from truenewton.statics.arms import enabled_arms
+from truenewton.statics.layout import Layout
 from truenewton.tracking.days import OTHER_UNIT, SAME_TEMPERATURE
-from truenewton.tracking.law import Outlier, Tracking
+from truenewton.tracking.law import Outlier
 
 ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
 MOST = 0.25  # of the actuators that may have moved
@@ -93,25 +103,45 @@ class Recalibration:
     scatter: float = 0.0
 
 
+@overload
 def recalibrate(
-    campaign: Campaign | str | os.PathLike[str],
-    known: Calibration | Tracking | str | os.PathLike[str],
+    campaign: Campaign, known: AnyKnown, actuators: Sequence[int] = (), *, force: bool = False,
+    processes: int | None = None,
+) -> Recalibration: ...  # fmt: skip
+@overload
+def recalibrate(
+    campaign: SegmentedData, known: AnyKnown, actuators: Sequence[int] = (), *, force: bool = False,
+    processes: int | None = None,
+) -> Parts[Recalibration]: ...  # fmt: skip
+@overload
+def recalibrate(
+    campaign: Read | str | os.PathLike[str], known: AnyKnown, actuators: Sequence[int] = (), *,
+    force: bool = False, processes: int | None = None,
+) -> Recalibration | Parts[Recalibration]: ...  # fmt: skip
+def recalibrate(
+    campaign: Read | str | os.PathLike[str],
+    known: AnyKnown,
     actuators: Sequence[int] = (),
     *,
     force: bool = False,
-) -> Recalibration:
+    processes: int | None = None,
+) -> Recalibration | Parts[Recalibration]:
     """Calibrate replaced actuators by a short run, all others being known.
 
     Parameters
     ----------
     campaign
-        The run after the replacement, or its path: one cycle under one load can do.
+        The run after the replacement, or its path: one cycle under one load can do. Of a mirror in
+        several segments each is recalibrated by itself.
     known
-        The earlier calibration, or the law that tracking found, or a path to either.
+        The earlier calibration, or the law that tracking found, or a path to either; of all
+        segments, or of the one.
     actuators
         IDs of the actuators replaced; if none are named, who changed is found out.
     force
         Take what is known whose verdict is 'rejected', too.
+    processes
+        As of `calibrate`.
 
     Raises
     ------
@@ -122,8 +152,13 @@ def recalibrate(
     UnknownName
         There is no such actuator.
     RankDeficient
-        Too little data, or too many have moved.
+        Too little data, or too many have moved; of all segments.
     TooManyOutliers, NotConverged
+
+    Warns
+    -----
+    TrueNewtonWarning
+        The verdict is 'rejected' or 'doubtful'.
 
     Examples
     --------
@@ -132,7 +167,33 @@ def recalibrate(
     >>> new.asked, new.moved
     ((17,), ())
     """
-    data = run_from(campaign)
+    run: Campaign | SegmentedData = run_from(
+        read(campaign) if isinstance(campaign, str | os.PathLike) else campaign
+    )
+    if not has_parts(run):
+        alone = _recalibrated(run, known, actuators, force=force)
+        warn_of(alone.calibration)
+        return alone
+    _, before = known_of(known, run)
+    _require_enabled(run.layout, actuators)
+
+    def solver(number: int) -> Callable[[Any], Recalibration]:
+        return partial(
+            _recalibrated,
+            known=before.part(number),
+            actuators=run.own(number, actuators),
+            force=force,
+        )
+
+    made = run.solved(solver, "alpha", executor_for(run.layout, processes))
+    warn_of(made.map(attrgetter("calibration")))
+    return made
+
+
+def _recalibrated(
+    data: Campaign, known: AnyKnown, actuators: Sequence[int], *, force: bool
+) -> Recalibration:
+    """Recalibrate one body."""
     before = known_from(known, data, force=force)
     ids = data.layout.id[data.layout.enabled]
     new = _new(data, before, actuators)
@@ -151,7 +212,6 @@ def recalibrate(
     effects = (*calibration.effects, *screened.suspects, *screened.frozen)
     calibration = replace(calibration, effects=effects)
     calibration = _with_faults(calibration, before, limits)
-    warn_of(calibration)
     return Recalibration(
         calibration=calibration,
         asked=tuple(ids[new].tolist()),
@@ -251,13 +311,7 @@ def _new(
 ) -> NDArray[np.bool_]:
     """Return (n,) who of the enabled is named, or has no earlier calibration."""
     ids, on = campaign.layout.id, campaign.layout.enabled
-    for name in actuators:
-        if name not in ids[on]:
-            raise UnknownName(
-                f"there is no actuator {name} that is enabled",
-                remedy=f"IDs run from {ids.min()} to {ids.max()}",
-                got=name,
-            )
+    _require_enabled(campaign.layout, actuators)
     new = np.asarray(np.isin(ids[on], list(actuators)) | ~np.isfinite(known.alpha[on]))
     if 2 * new.sum() > new.size:
         raise RankDeficient(
@@ -265,6 +319,22 @@ def _new(
             remedy="calibrate anew",
         )
     return new
+
+
+def _require_enabled(layout: Layout, actuators: Sequence[int]) -> None:
+    """Refuse IDs that no enabled actuator has.
+
+    Raises
+    ------
+    UnknownName
+    """
+    for name in actuators:
+        if name not in layout.id[layout.enabled]:
+            raise UnknownName(
+                f"there is no actuator {name} that is enabled",
+                remedy=f"IDs run from {layout.id.min()} to {layout.id.max()}",
+                got=name,
+            )
 
 
 def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:

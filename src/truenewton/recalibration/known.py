@@ -5,16 +5,15 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.segment_file import any_calibration_from
-from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.segments import InSegments
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import REGARDLESS, Verdict, judged, refuse_unusable
-from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
+from truenewton.calibration.written import CALIBRATIONS
+from truenewton.errors import FormatError, NotToBeUsed
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import ErrorKind, ErrorSource, Scale
 from truenewton.estimation.findings.finding import Finding
@@ -26,18 +25,24 @@ from truenewton.estimation.findings.scale_budget import (
 )
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive
-from truenewton.reading import part_of
+from truenewton.reading import select_segment
 from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.parts import (
+    InParts,
+    Parts,
+    body_or_parts_from,
+    has_parts,
+    refuse_other_mirror,
+)
 from truenewton.records.source import Source
-from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.file import any_tracking_from
+from truenewton.tracking.file import TRACKINGS
 from truenewton.tracking.law import Tracking
-from truenewton.tracking.segmented import SegmentedTracking
 
 Known = Calibration | Tracking
-KnownOfSegments = SegmentedCalibration | SegmentedTracking
+KnownOfSegments = Parts[Calibration] | Parts[Tracking]
+AnyKnown = Known | KnownOfSegments | str | os.PathLike[str]
 EARLIER = ErrorSource(ErrorKind.EARLIER)
 
 
@@ -77,12 +82,7 @@ class EarlierCalibration:
     temperatures: tuple[float, float] | None = None
 
 
-def known_from(
-    known: Known | KnownOfSegments | str | os.PathLike[str],
-    campaign: Campaign,
-    *,
-    force: bool = False,
-) -> EarlierCalibration:
+def known_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> EarlierCalibration:
     """Return what is known of the mirror of a campaign.
 
     Parameters
@@ -103,17 +103,7 @@ def known_from(
     """
     loads: tuple[Load, ...] = ()
     sources: tuple[Source, ...] = ()
-    name, given = _of_body(known, campaign.layout)
-    same_instrument = given.instrument == campaign.instrument
-    apart = campaign.layout.other_actuators(given.layout)
-    if apart or not same_instrument:
-        raise CampaignMismatch(
-            f"has other actuators than the run: {apart}"
-            if same_instrument
-            else f"is of {given.instrument}, the run of {campaign.instrument}",
-            remedy="give the calibration of the same mirror",
-            path=name,
-        )
+    name, given = known_of(known, campaign)
     n, temperatures = given.layout.n, None
     if isinstance(given, Tracking):
         verdict = _verdict_on_days(given, force=force, path=name)
@@ -155,18 +145,27 @@ def known_from(
     )
 
 
-def _of_body(
-    known: Known | KnownOfSegments | str | os.PathLike[str], layout: Layout
-) -> tuple[str, Known]:
-    """Return a name, and what is known of the one body of a run."""
-    name = "the earlier calibration"
+def known_of(known: AnyKnown, run: Campaign | InParts[Any]) -> tuple[str, Any]:
+    """Return a name, and what is known of the mirror of a run: of one body, or of all segments.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
+    """
+    name, given = "the earlier calibration", known
     if isinstance(known, str | os.PathLike):
-        name, known = os.fspath(known), read_known(known)
-    if isinstance(known, Calibration | Tracking):
-        return name, known
-    number = None if layout.segment is None else int(layout.segment[0])
-    several: InSegments[Known] = known
-    return name, part_of(several, number, name)
+        name, given = os.fspath(known), read_known(known)
+    if has_parts(run) and not has_parts(given):
+        raise FormatError(
+            f"is of one body, and the run has {len(run.numbers)} segments",
+            remedy="choose the segment: --segment",
+            path=name,
+        )
+    if has_parts(given) and not has_parts(run):
+        segment = run.layout.segment
+        given = select_segment(given, None if segment is None else int(segment[0]), name)
+    refuse_other_mirror(given, run, "the run", name, "give the calibration of the same mirror")
+    return name, given
 
 
 def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
@@ -181,9 +180,11 @@ def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
         raise FormatError("is a folder", remedy=remedy, path=os.fspath(path))
     file = read_fits(path)
     if "TRACKING" in file.extensions:
-        return any_tracking_from(file)
+        law: Tracking | Parts[Tracking] = body_or_parts_from(file, TRACKINGS)
+        return law
     if "CALIBRATION" in file.extensions:
-        return any_calibration_from(file)
+        found: AnyCalibration = body_or_parts_from(file, CALIBRATIONS)
+        return found
     raise FormatError("is no calibration", remedy=remedy, path=os.fspath(path))
 
 

@@ -16,9 +16,9 @@ estimated as tracking does it from days (`tracking.scatter`); the prior then is
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -41,9 +41,7 @@ from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.linalg import inverse_of_positive, mirrored
-from truenewton.reading import read_one
 from truenewton.recalibration.known import EarlierCalibration
-from truenewton.records.campaign import Campaign
 from truenewton.tracking.scatter import Scatter, scatter_of
 
 LOOSE = 0.2  # relative, of a prior that lets everyone move: bad rows are judged by it
@@ -51,11 +49,10 @@ SCALE_HELD = 1e-4  # of the common scale in it
 SMALL = 1e-6  # part of the prior's variance below which the run says nothing
 
 
-def run_from(campaign: Campaign | str | os.PathLike[str]) -> Campaign:
-    """Return the run from a campaign or its path; refuse what is no run of cycles alone."""
-    data = campaign if isinstance(campaign, Campaign) else read_one(campaign)
-    if not isinstance(data, Campaign):
-        raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
+def run_from(data: Any) -> Any:
+    """Return the run, of one body or of several segments; refuse what is not cycles alone."""
+    if not getattr(data, "cycles", ()):
+        raise FormatError("holds no cycles", remedy="give the run after the change")
     if data.stiffness is not None:
         raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
     return data

@@ -7,34 +7,23 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
-from truenewton.calibration.segment_words import (
-    segmented_lines as segmented_calibration_lines,
-)
-from truenewton.calibration.segment_words import (
-    segmented_values as segmented_calibration_values,
-)
+from truenewton.calibration.result import AnyCalibration
 from truenewton.calibration.words import summary_lines, summary_values
 from truenewton.recalibration.fit import Recalibration
-from truenewton.recalibration.segments import SegmentedRecalibration
+from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.rounding import by_chance, percent, with_error
 
 
-def lines(made: Recalibration) -> Iterator[str]:
-    """Yield what was found, for people: the calibration, and who was given anew."""
-    yield from summary_lines(made.calibration)
-    yield from _changes(made)
-    yield f"  {_others(made)}"
-    if made.scatter:
-        yield f"  each of them has changed by {percent(made.scatter)} since; errors allow for it"
-
-
-def segmented_lines(made: SegmentedRecalibration) -> Iterator[str]:
-    """Yield what was found of all segments, for people."""
-    yield from segmented_calibration_lines(made.calibration)
-    for number, one in made.segments.items():
-        yield f"segment {number}"
+def lines(made: Recalibration | Parts[Recalibration], calibration: AnyCalibration) -> Iterator[str]:
+    """Yield what was found, for people: the calibration that can be used, who was given anew."""
+    yield from summary_lines(calibration)
+    for number, one in by_number(made).items():
+        if number:
+            yield f"segment {number}"
         yield from _changes(one)
         yield f"  {_others(one)}"
+        if one.scatter and not number:
+            yield f"  each of them has changed by {percent(one.scatter)} since; errors allow for it"
 
 
 def _changes(made: Recalibration) -> Iterator[str]:
@@ -68,26 +57,17 @@ def _others(made: Recalibration) -> str:
     )
 
 
-def segmented_values(made: SegmentedRecalibration) -> dict[str, Any]:
+def values(
+    made: Recalibration | Parts[Recalibration], calibration: AnyCalibration
+) -> dict[str, Any]:
     """Return the same figures for a script."""
-    whole = segmented_calibration_values(made.calibration)
-    parts = whole.pop("segments")
-    return {
-        **whole,
-        "segments": [
-            part | (_found(made.segments[part["segment"]]) if part["segment"] in made.segments
-                    else {})
-            for part in parts
-        ],
-    }  # fmt: skip
-
-
-def values(made: Recalibration) -> dict[str, Any]:
-    """Return the same figures for a script."""
-    return {
-        **summary_values(made.calibration),
-        **_found(made),
-    }
+    figures = summary_values(calibration)
+    if not has_parts(made):
+        return figures | _found(made)
+    for part in figures["segments"]:
+        if part["segment"] in made.found:
+            part |= _found(made.found[part["segment"]])
+    return figures
 
 
 def _found(made: Recalibration) -> dict[str, Any]:

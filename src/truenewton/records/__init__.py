@@ -5,7 +5,7 @@ campaign          cycles of one mirror that belong together
 stiffness_matrix  a measured stiffness: commanded force per displacement
 segmented         what was measured of a mirror in several segments
 segment           what a segment of a mirror weighs
-of_segments       what was found of each segment, and why nothing of the others
+parts             what was found of each segment, or why nothing; one file for all
 source            the file that data came from, and what of it went into a result
 samples           streams of raw samples, averaged to rows
 file              cycle and stiffness files: what they hold, both ways

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.records.campaign import Campaign, ordered_cycles, refuse_foreign
 from truenewton.records.cycle import Cycle
-from truenewton.records.segment import require_segment
+from truenewton.records.parts import InParts
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
@@ -24,7 +23,7 @@ RECIPROCAL, LARGE, ROUNDING = 6.0, 0.3, 1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SegmentedData:
+class SegmentedData(InParts[Campaign | StiffnessMatrix]):
     """Cycles of a mirror in several segments, its stiffness matrix, or both.
 
     Attributes
@@ -48,6 +47,8 @@ class SegmentedData:
     <Layout of 90 actuators of 2 segments>
     """
 
+    instrument: str = field(init=False)
+    layout: Layout = field(init=False)
     cycles: tuple[Cycle, ...] = ()
     stiffness: StiffnessMatrix | None = None
 
@@ -64,6 +65,9 @@ class SegmentedData:
                 )
         elif self.stiffness is None:
             raise FormatError("there are no data", remedy="give cycles, a stiffness matrix or both")
+        name = mirror_of(self.cycles[0]) if self.cycles else self._matrix.instrument
+        object.__setattr__(self, "instrument", name)
+        object.__setattr__(self, "layout", self._joined_layout())
         if not self.layout.segments:
             raise FormatError(
                 "the mirror is in one piece", remedy="make a Campaign, or a StiffnessMatrix, of it"
@@ -81,9 +85,8 @@ class SegmentedData:
         """The first cycle of those that are of the same segments, by the numbers of these."""
         return {cycle.numbers: cycle for cycle in self.cycles[::-1]}
 
-    @cached_property
-    def layout(self) -> Layout:
-        """All actuators; of cycles of single segments, segment after segment."""
+    def _joined_layout(self) -> Layout:
+        """Return all actuators; of cycles of single segments, segment after segment."""
         groups = self._groups
         if not groups:
             return self._matrix.layout
@@ -97,31 +100,18 @@ class SegmentedData:
         return _joined([parts[number] for number in sorted(parts)])
 
     @property
-    def instrument(self) -> str:
-        """The mirror's name."""
-        return mirror_of(self.cycles[0]) if self.cycles else self._matrix.instrument
-
-    @property
     def _matrix(self) -> StiffnessMatrix:
         assert self.stiffness is not None
         return self.stiffness
 
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """Of the segments, ascending."""
-        return self.layout.segments
-
-    def segment(self, number: int) -> Campaign | StiffnessMatrix:
+    def _part(self, number: int) -> Campaign | StiffnessMatrix:
         """Return what was measured of one segment: a mirror in one piece.
 
         Raises
         ------
-        UnknownName
-            There is no such segment.
         GeometryError, FormatError
             It has no actuator that is enabled, or its data hold what they may not.
         """
-        require_segment(number, self.numbers)
         matrix = None if self.stiffness is None else segment_of_matrix(self.stiffness, number)
         own = tuple(_part(cycle, number) for cycle in self.cycles if number in cycle.numbers)
         if own:
@@ -182,10 +172,10 @@ def _joined(parts: Sequence[Layout]) -> Layout:
         They do not go together.
     """
     columns: dict[str, Any] = {}
-    for field in fields(Layout):
-        column = [getattr(part, field.name) for part in parts]
+    for name in (each.name for each in fields(Layout)):
+        column = [getattr(part, name) for part in parts]
         lacking = any(one is None for one in column)
-        columns[field.name] = None if lacking else np.concatenate(column)
+        columns[name] = None if lacking else np.concatenate(column)
     return Layout(**columns)
 
 

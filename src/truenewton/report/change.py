@@ -11,14 +11,14 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.written import AnyCalibration
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.chance import FALSE_ALARM, normal_isf
 from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.findings.scale_budget import typical
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
 from truenewton.figures.style import ACCENT, FAINT, on_screen, styled_axes
+from truenewton.records.parts import Parts, has_parts
 from truenewton.report.layers import Layer, alpha_layer
 
 
@@ -121,9 +121,9 @@ def change(one: AnyCalibration, other: AnyCalibration) -> Change:
     >>> f"{moved.ratio:.2f}, and beside it {len(moved.changed)} actuators"
     '0.99, and beside it 0 actuators'
     """
-    if isinstance(one, SegmentedCalibration) and isinstance(other, SegmentedCalibration):
+    if has_parts(one) and has_parts(other):
         return _change_of_segments(one, other)
-    if isinstance(one, SegmentedCalibration) or isinstance(other, SegmentedCalibration):
+    if has_parts(one) or has_parts(other):
         raise CampaignMismatch(
             "one calibration is of several segments, the other of one body",
             remedy="choose the segment: --segment, or segment(...) in Python",
@@ -158,7 +158,7 @@ def change(one: AnyCalibration, other: AnyCalibration) -> Change:
     )
 
 
-def _change_of_segments(one: SegmentedCalibration, other: SegmentedCalibration) -> Change:
+def _change_of_segments(one: Parts[Calibration], other: Parts[Calibration]) -> Change:
     """Compare each segment that has alpha in both, at the limit of all actuators together."""
     a, b = one.layout, other.layout
     apart = b.other_actuators(a)
@@ -169,16 +169,15 @@ def _change_of_segments(one: SegmentedCalibration, other: SegmentedCalibration) 
             remedy="compare two calibrations of one mirror",
         )
     parts = {
-        number: change(one.segments[number], other.segments[number])
+        number: change(one.found[number], other.found[number])
         for number in one.numbers
-        if number in one.segments and number in other.segments
+        if number in one.found and number in other.found
     }
     if not parts:
         raise RankDeficient("no segment has alpha in both", remedy="look at each file with `info`")
-    relative, sigmas = np.full((2, a.n), np.nan)
-    for number, part in parts.items():
-        own = np.asarray(a.segment) == number
-        relative[own], sigmas[own] = part.relative, part.sigmas
+    lacking = {number: () for number in one.numbers if number not in parts}
+    whole = Parts(one.instrument, a, parts, refused=lacking)
+    relative, sigmas = whole.column("relative"), whole.column("sigmas")
     limit = float(normal_isf(FALSE_ALARM / 2 / np.isfinite(sigmas).sum()))
     return Change(
         one=one,

@@ -17,6 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.calibration.result import Calibration
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
@@ -30,6 +31,7 @@ from truenewton.modal.figures import modes_figures
 from truenewton.modal.modal_base import Budget
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
+from truenewton.records.parts import Parts, has_parts
 from truenewton.report.budget import error_budget
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.investigate import Findings
@@ -68,9 +70,9 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
     return drawn
 
 
-def still_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
-    """Return the figures that are written beside the paper's, by name."""
-    drawn = figures_of(findings)
+def still_figures(findings: Findings | Parts[Calibration]) -> dict[str, Callable[..., Axes]]:
+    """Return the figures that are written beside the paper's, by name; none of segments."""
+    drawn = {} if has_parts(findings) else figures_of(findings)
     return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
 
 

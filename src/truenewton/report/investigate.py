@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar, overload
 
 from matplotlib.axes import Axes
 
 from truenewton.arrays import Array
 from truenewton.calibration.methods import (
+    Seen,
     asked,
     calibrate,
     calibration_of,
     estimate_alpha,
     refusals,
 )
-from truenewton.calibration.result import Calibration
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.errors import (
     Fault,
     NotConverged,
@@ -30,7 +31,9 @@ from truenewton.estimation.screening.screen import ScreenedCampaign, screen_camp
 from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.measured_stiffness import motion_reader
+from truenewton.reading import Read, holds_alpha
 from truenewton.records.campaign import Campaign
+from truenewton.records.parts import Parts, has_parts
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.evidence import (
@@ -105,19 +108,29 @@ class Findings:
         raise UnknownName(f"there is no figure '{name}'", remedy=remedy, got=name)
 
 
+@overload
 def investigate(
-    data: Campaign | StiffnessMatrix | Calibration,
+    data: Campaign | StiffnessMatrix | Calibration, method: str | None = None, *,
+    population: bool = False, motion: Array | None = None,
+) -> Findings: ...  # fmt: skip
+@overload
+def investigate(
+    data: Read, method: str | None = None, *, population: bool = False, motion: Seen | None = None
+) -> Findings | Parts[Calibration]: ...
+def investigate(
+    data: Read,
     method: str | None = None,
     *,
     population: bool = False,
-    motion: Array | None = None,
-) -> Findings:
+    motion: Seen | None = None,
+) -> Findings | Parts[Calibration]:
     """Calibrate data and gather the evidence; data that do not suffice are diagnosed instead.
 
     Parameters
     ----------
     data
-        What is to be reported on; a finished calibration is taken as it is.
+        What is to be reported on; a finished calibration is taken as it is. Several segments are
+        calibrated, and nothing else.
     method, population, motion
         As in `calibrate`; (n, n).
 
@@ -132,6 +145,10 @@ def investigate(
     >>> findings.faults, findings.modes
     ((), <ModalFindings of P45: 45 modes>)
     """
+    if has_parts(data):
+        options: Any = {"population": population, "motion": motion}
+        return data if holds_alpha(data) else calibrate(data, method, **options)
+    assert not isinstance(motion, Mapping)
     if isinstance(data, Calibration):
         return Findings(data, data)
     method, known = asked(data, method, population=population, motion=motion)
@@ -179,3 +196,19 @@ def _modes(data: Campaign | StiffnessMatrix, find: Callable[[], Modal]) -> tuple
     except TrueNewtonError as error:
         why = "; ".join(filter(None, (error.fault, error.remedy)))
         return None, f"The data do not tell them: {why}."
+
+
+def require_calibration(findings: Findings | Parts[Calibration]) -> AnyCalibration:
+    """Return the calibration of what was found.
+
+    Raises
+    ------
+    RankDeficient
+        The data do not suffice.
+    """
+    if has_parts(findings):
+        return findings
+    if findings.calibration is None:
+        fault, remedy = findings.faults[0]
+        raise RankDeficient(fault, remedy=remedy)
+    return findings.calibration

@@ -8,13 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.written import AnyCalibration
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.paper.identifiability import leverage
 from truenewton.figures.maps import plot_map
 from truenewton.figures.style import MILLIMETRE, SIGNED_COLOURS
+from truenewton.records.parts import Parts
 from truenewton.report.evidence import Evidence
 from truenewton.rounding import significant, with_error
 from truenewton.statics.arms import arms_in_units_of_rms
@@ -133,10 +132,10 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
 
-def segment_layers(c: SegmentedCalibration) -> tuple[Layer, ...]:
+def segment_layers(c: Parts[Calibration]) -> tuple[Layer, ...]:
     """Return what is known of the actuators of all segments; NaN where a segment does not tell."""
     of_segments: dict[str, dict[int, Layer]] = {}
-    for number, one in c.segments.items():
+    for number, one in c.found.items():
         for layer in calibration_layers(one, None):
             of_segments.setdefault(layer.key, {})[number] = layer
     made = []
@@ -155,9 +154,9 @@ def segment_layers(c: SegmentedCalibration) -> tuple[Layer, ...]:
 
 def alpha_layer(calibration: AnyCalibration, key: str, name: str) -> Layer:
     """Return alpha, as far as its error goes, all included."""
-    return Layer(key, name, "true N / commanded N", calibration.alpha,
+    return Layer(key, name, "true N / commanded N", calibration.column("alpha"),
                  "True Newton per commanded Newton, with its error, all included (E_ALPHA).",
-                 calibration.error)  # fmt: skip
+                 calibration.column("error"))  # fmt: skip
 
 
 def _sensor_layers(c: Calibration) -> list[Layer]:

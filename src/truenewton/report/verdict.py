@@ -7,19 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.verdict import Verdict, no_alpha
+from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.verdict import Verdict, no_alpha, without_unusable
 from truenewton.calibration.words import as_sentences
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.findings.scale_budget import scale_total, typical
+from truenewton.records.parts import Parts, has_parts
+from truenewton.records.source import Source
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
 from truenewton.rounding import counted, named, percent, significant, to_digits, with_error
 
+Reported = Findings | Change | Parts[Calibration]
 MEANINGS = {
     Level.USABLE: " The stated errors hold and include what was found."
     " A better result is possible.",
@@ -78,38 +80,36 @@ def verdict(findings: Findings) -> Headline:
     return _headline(c.verdict, sentence, _numbers(c))
 
 
-def headline_of(findings: Findings | Change | SegmentedCalibration) -> Headline:
+def headline_of(findings: Reported) -> Headline:
     """Say the verdict on whatever a page is made of."""
     if isinstance(findings, Change):
         return verdict_on_change(findings)
-    if isinstance(findings, SegmentedCalibration):
+    if has_parts(findings):
         return verdict_on_whole(findings)
     return verdict(findings)
 
 
-def verdict_on_whole(c: SegmentedCalibration) -> Headline:
+def verdict_on_whole(c: Parts[Calibration]) -> Headline:
     """Say the verdict on a mirror in several segments; figures are of those that can be used."""
-    levels = [c.segments[n].verdict.level if n in c.segments else Level.NONE for n in c.numbers]
+    levels = [one.verdict.level for one in c.found.values()]
     sound = sum(level == Level.SOUND for level in levels)
-    verdict, c = c.verdict, c.without_unusable()
-    known = np.isfinite(c.alpha)
-    error = typical(c.error[known], c.alpha[known])
-    part = f"{len(c.segments)} of" if c.refused else "all"
+    verdict, c = c.verdict, without_unusable(c)
+    alpha, errors = c.column("alpha"), c.column("error")
+    known = np.isfinite(alpha)
+    error = typical(errors[known], alpha[known])
+    part = f"{len(c.found)} of" if c.refused else "all"
     sentence = (
         f"Alpha of {part} {counted(c.numbers, 'segment')} of {c.instrument} is known"
         f" ({counted(int(known.sum()), 'actuator')}), typically to {percent(error)}."
     )
-    errors = {n: typical(one.error, one.alpha) for n, one in c.segments.items()}
-    worst = max(errors, key=lambda n: errors[n])
-    largest = f"; {percent(errors[worst])} on segment {worst}, the largest"
-    differ = len({percent(each) for each in errors.values()}) > 1
-    low, high = (int(find(c.alpha)) for find in (np.nanargmin, np.nanargmax))
-    ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
+    of_each = {n: typical(one.error, one.alpha) for n, one in c.found.items()}
+    worst = max(of_each, key=lambda n: of_each[n])
+    largest = f"; {percent(of_each[worst])} on segment {worst}, the largest"
+    differ = len({percent(each) for each in of_each.values()}) > 1
     numbers = (
-        ("alpha", f"{ends[0]} to {ends[1]}", f"actuators {c.layout.id[low]} and"
-         f" {c.layout.id[high]}, true N / commanded N"),
+        _range(c),
         ("typical error of alpha", percent(error), f"one sigma{largest if differ else ''}"),
-        ("sound segments", f"{sound} of {len(levels)}", "each has a section below"),
+        ("sound segments", f"{sound} of {len(c.numbers)}", "each has a section below"),
     )  # fmt: skip
     return _headline(verdict, sentence, numbers)
 
@@ -138,7 +138,7 @@ def verdict_on_change(change: Change) -> Headline:
                 "calibrate anew before use, unless the change is known, as after a replacement",
             )
         )
-    one, other = ({s.sha256 for s in c.sources} for c in (change.one, change.other))
+    one, other = ({s.sha256 for s in sources_of(c)} for c in (change.one, change.other))
     if one == other:  # a recalibration has files of its own beside those it inherits
         advice.append(
             Fault(
@@ -154,6 +154,14 @@ def verdict_on_change(change: Change) -> Headline:
         _ratio(change),
     )  # fmt: skip
     return Headline(level, title, sentence, numbers, tuple(advice))
+
+
+def sources_of(c: AnyCalibration) -> tuple[Source, ...]:
+    """Return the files that went in; of several segments each once."""
+    if not has_parts(c):
+        return c.sources
+    every = (source for one in c.found.values() for source in one.sources)
+    return tuple({source.sha256: source for source in every}.values())
 
 
 def _ratio(change: Change) -> tuple[str, str, str]:
@@ -180,8 +188,6 @@ def _actuators(c: Calibration) -> str:
 
 
 def _numbers(c: Calibration) -> tuple[tuple[str, str, str], ...]:
-    low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
-    ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
     readings = percent(typical(c.reading_error, c.alpha))
     scale = (
         "common scale",
@@ -194,9 +200,16 @@ def _numbers(c: Calibration) -> tuple[tuple[str, str, str], ...]:
         )
         scale = ("error of the common scale", percent(part), "one sigma, the same for all")
     return (
-        ("alpha", f"{ends[0]} to {ends[1]}", f"actuators {c.layout.id[low]} and"
-         f" {c.layout.id[high]}, true N / commanded N"),
+        _range(c),
         ("typical error of alpha", percent(typical(c.error, c.alpha)),
          f"one sigma; {readings} from the readings"),
         scale,
     )  # fmt: skip
+
+
+def _range(c: AnyCalibration) -> tuple[str, str, str]:
+    """Return name, value and note of the smallest and the largest alpha."""
+    alpha, error, ids = c.column("alpha"), c.column("error"), c.layout.id
+    low, high = int(np.nanargmin(alpha)), int(np.nanargmax(alpha))
+    ends = " to ".join(to_digits(float(alpha[k]), float(error[k])) for k in (low, high))
+    return "alpha", ends, f"actuators {ids[low]} and {ids[high]}, true N / commanded N"

@@ -7,10 +7,10 @@ outlying_day  that lies off the law of the others
 family      one physics, each actuator its own deviation
 fit         from days to the law
 law         the result: alpha at any temperature and time
-segments    laws of a mirror in several segments, side by side
-segmented   the result of these
 validity    when to calibrate again
 file        the tracking file (docs/files.md)
 figures     alpha against temperature and time; the family
 words       in words and numbers: terminal, script
 """
+
+import truenewton.tracking.file  # noqa: F401  # several segments are kept as it says

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.linalg import factor_of
-from truenewton.reading import Read, of_segment, read
+from truenewton.reading import Read, read, select_segment
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Cycle
+from truenewton.records.parts import InParts, Parts, by_number, has_parts, refuse_other_mirror
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -42,9 +42,18 @@ class Named(NamedTuple):
     data: Read
 
 
-Given = (
-    Calibration | Campaign | SegmentedCalibration | SegmentedData | Named | str | os.PathLike[str]
-)
+@dataclass(frozen=True, eq=False, repr=False)
+class Days(InParts[list[Named]]):
+    """The days of a mirror in several segments."""
+
+    days: Sequence[Named]
+
+    def _part(self, number: int) -> list[Named]:
+        return of_one(self.days, number)
+
+
+Given = Calibration | Campaign | Parts[Calibration] | SegmentedData | Named | str | os.PathLike[str]
+ONE_MIRROR = "track one mirror at a time"
 SAME_TEMPERATURE = 1.0  # [K]; cycles of a campaign farther apart are calibrated apart
 # Typical change of alpha beyond its error, of another unit: 50 K make 0.3 % between actuators.
 OTHER_UNIT = 0.03
@@ -84,10 +93,9 @@ def named(item: Given) -> Named:
         return item
     if isinstance(item, str | os.PathLike):
         return Named(os.fspath(item), read(item))
-    if isinstance(item, Campaign | SegmentedData):
-        dates = [cycle.date for cycle in item.cycles]
-    else:
-        dates = [item.date]
+    dated: Any = getattr(item, "cycles", None)
+    dated = by_number(item).values() if dated is None else dated
+    dates = [one.date for one in dated]
     return Named(f"{item.instrument} of {min(dates):%Y-%m-%d}" if dates else item.instrument, item)
 
 
@@ -99,7 +107,29 @@ def of_one(given: Iterable[Given], segment: int | None) -> list[Named]:
     UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
     """
     every = (named(item) for item in given)
-    return [Named(name, of_segment(data, segment, name)) for name, data in every]
+    return [Named(name, select_segment(data, segment, name)) for name, data in every]
+
+
+def of_all(days: Sequence[Named]) -> Days:
+    """Return days of all segments; an actuator is enabled as it is on the first.
+
+    Raises
+    ------
+    FormatError, CampaignMismatch
+        They are not all of several segments, or not of one mirror.
+    """
+    first = next(day for day in days if has_parts(day.data))
+    mirror: InParts[Any] = first.data  # type: ignore[assignment]
+    for name, data in days:
+        if not has_parts(data):
+            raise FormatError(
+                "is of one body, where others have several segments",
+                remedy=f"give what holds all segments, as {first.name} does, or choose one:"
+                " --segment, or track(..., segment=) in Python",
+                path=name,
+            )
+        refuse_other_mirror(data, mirror, first.name, name, ONE_MIRROR)
+    return Days(mirror.instrument, mirror.layout, days)
 
 
 def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
@@ -142,7 +172,7 @@ def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalib
 
 
 def _dated(name: str, given: Read) -> list[DatedCalibration]:
-    data = of_segment(given, None, name)
+    data = select_segment(given, None, name)
     if isinstance(data, StiffnessMatrix):
         raise FormatError(
             "is a stiffness file", remedy="give calibrations, or campaigns", path=name
@@ -196,20 +226,7 @@ def _refuse_unfit(day: DatedCalibration) -> None:
 
 def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None:
     a, b = one.calibration, other.calibration
-    if a.instrument != b.instrument:
-        raise CampaignMismatch(
-            f"is of {b.instrument}, {one.name} of {a.instrument}",
-            remedy="track one mirror at a time",
-            path=other.name,
-            got=b.instrument,
-            want=a.instrument,
-        )
-    if apart := a.layout.other_actuators(b.layout):
-        raise CampaignMismatch(
-            f"has other actuators than {one.name}: {apart}",
-            remedy="track one mirror at a time",
-            path=other.name,
-        )
+    refuse_other_mirror(b, a, one.name, other.name, ONE_MIRROR)
     files = [{source.sha256 for source in c.sources} for c in (a, b)]
     if all(files) and (files[0] <= files[1] or files[1] <= files[0]):
         raise CampaignMismatch(

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
 from truenewton.figures.style import ACCENT, FAINT, INK, NAMED, styled_axes
+from truenewton.records.parts import Parts, by_number
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
-from truenewton.tracking.segmented import SegmentedTracking
 
 OUTLYING = "#b2182b"
 PERCENT = 1e2
@@ -114,23 +114,16 @@ def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes
     return ax
 
 
-def tracking_figures(tracking: Tracking) -> dict[str, Callable[..., Axes]]:
+def tracking_figures(tracking: Tracking | Parts[Tracking]) -> dict[str, Callable[..., Axes]]:
     """Return what draws each figure of tracking, by name; it takes axes or none."""
     figures: dict[str, Callable[..., Axes]] = {}
-    for effect in tracking.effects:
-        name = "time" if effect == "drift" else effect
-        figures[f"track-{name}"] = partial(plot_law, tracking, effect)
-        figures[f"track-family-{effect}"] = partial(plot_family, tracking, effect)
+    for number, law in by_number(tracking).items():
+        of_it = f"segment-{number}-" if number else ""
+        for effect in law.effects:
+            name = "time" if effect == "drift" else effect
+            figures[f"{of_it}track-{name}"] = partial(plot_law, law, effect)
+            figures[f"{of_it}track-family-{effect}"] = partial(plot_family, law, effect)
     return figures
-
-
-def figures_of_segments(tracking: SegmentedTracking) -> dict[str, Callable[..., Axes]]:
-    """Return what draws each figure of each segment, by its name."""
-    return {
-        f"segment-{number}-{name}": draw
-        for number, law in tracking.segments.items()
-        for name, draw in tracking_figures(law).items()
-    }
 
 
 def _outlying(tracking: Tracking, effect: str) -> NDArray[np.bool_]:

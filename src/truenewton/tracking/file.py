@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from truenewton.calibration.file import LARGEST
-from truenewton.calibration.segment_file import REFUSED, whole_from
 from truenewton.errors import FormatError
 from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
-from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat, iso
-from truenewton.reading import part_of
-from truenewton.records.file import ENABLED, ID, INSTRUMENT, NZ, X, Y
+from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
+from truenewton.reading import select_segment
+from truenewton.records.file import ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.parts import KINDS, PartKind, body_or_parts_from
 from truenewton.tracking.law import Tracking
-from truenewton.tracking.segmented import SegmentedTracking
 
 UNITS = {"temperature": "1/K", "drift": "1/yr"}
 
@@ -103,59 +100,6 @@ TRACKING = FileFormat(
 )
 
 
-LAW = TableFormat(
-    "LAW",
-    (
-        ID,
-        X,
-        Y,
-        Column("SEGMENT", "layout.segment", kind="int"),
-        Column("ALPHA", "alpha"),
-        Column("E_ALPHA", lambda t: t.errors[0]),
-        Column("K", lambda t: t.coefficient, "1/K"),
-        Column("E_K", lambda t: t.errors[1], "1/K"),
-        Column("DRIFT", lambda t: t.drift, "1/yr"),
-        Column("E_DRIFT", lambda t: t.errors[2], "1/yr"),
-        Column("SCATTER", lambda t: t.scatter),
-        NZ,
-        ENABLED,
-    ),
-)
-
-
-def _each(value: Callable[[Tracking], Any], none: Any) -> Callable[[SegmentedTracking], Any]:
-    """Return what gives, segment by segment, a value of its law, or another if refused."""
-    return lambda t: [value(t.segments[n]) if n in t.segments else none for n in t.numbers]
-
-
-SEGMENTED_TRACKING = FileFormat(
-    (
-        INSTRUMENT,
-        Keyword("DATE-OBS", lambda t: t.date, "UTC, middle of the first day's data", kind="date"),
-        Keyword(
-            "DATE-END", lambda t: t.date_end, "UTC, middle of the last day's data", kind="date"
-        ),
-    ),
-    (
-        LAW,
-        TableFormat(
-            "SEGMENTS",
-            (
-                Column("SEGMENT", lambda t: t.numbers, kind="int"),
-                Column("DATE-REF", _each(lambda law: iso(law.date), ""), kind="str"),
-                Column("TEMPERAT", _each(lambda law: law.temperature, np.nan), "deg_C"),
-                Column("CHI2", _each(lambda law: law.chi2, np.nan)),
-                Column("DOF", _each(lambda law: law.degrees_of_freedom, 0), kind="int"),
-                Column("SCATTER", _each(lambda law: law.common_scatter, np.nan)),
-                Column("SCATDOF", _each(lambda law: law.scatter_degrees, 0), kind="int"),
-                Column("LEFT", _each(lambda law: len(law.outliers), 0), kind="int"),
-            ),
-        ),
-        REFUSED,
-    ),
-)
-
-
 def read_tracking(path: str | os.PathLike[str], *, segment: int | None = None) -> Tracking:
     """Read a tracking file; of a mirror in several segments that of one.
 
@@ -176,12 +120,9 @@ def read_tracking(path: str | os.PathLike[str], *, segment: int | None = None) -
     >>> tn.read_tracking("track.fits")
     <Tracking of P45: 2 calibrations, temperature>
     """
-    tracking = any_tracking_from(read_fits(path))
-    if segment is None and isinstance(tracking, Tracking):
-        return tracking
-    if isinstance(tracking, Tracking):
-        raise FormatError("is of a mirror in one piece", remedy="leave the segment out", path=path)
-    return part_of(tracking, segment, path)
+    found = body_or_parts_from(read_fits(path), TRACKINGS)
+    law: Tracking = select_segment(found, segment, path)
+    return law
 
 
 def tracking_from(file: FitsFile) -> Tracking:
@@ -202,14 +143,18 @@ def tracking_from(file: FitsFile) -> Tracking:
     return file.filled(Tracking, values)
 
 
-def any_tracking_from(file: FitsFile) -> Tracking | SegmentedTracking:
-    """Return what a tracking file holds, of one body or of several segments.
-
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a tracking file.
-    """
-    if "SEGMENTS" not in file.extensions:
-        return tracking_from(file)
-    return whole_from(file, SEGMENTED_TRACKING, SegmentedTracking, tracking_from)
+TRACKINGS = PartKind(
+    TRACKING,
+    tracking_from,
+    "LAW",
+    {
+        "DATE-REF": "",
+        "TEMPERAT": np.nan,
+        "CHI2": np.nan,
+        "DOF": 0,
+        "SCATTER": np.nan,
+        "SCATDOF": 0,
+    },
+    {"LEFT": lambda law: len(law.outliers)},
+)
+KINDS[Tracking] = TRACKINGS

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread, spread_square
+from truenewton.calibration.result import Calibration
+from truenewton.calibration.workers import executor_for
 from truenewton.chance import FALSE_ALARM, chance_of_any, f_sf
 from truenewton.errors import CampaignMismatch, RankDeficient
+from truenewton.records.campaign import Campaign
+from truenewton.records.parts import Parts, has_parts
+from truenewton.records.segmented import SegmentedData
 from truenewton.rounding import counted
 from truenewton.tracking.days import (
     OTHER_UNIT,
@@ -18,7 +25,10 @@ from truenewton.tracking.days import (
     YEAR,
     DatedCalibration,
     Given,
+    Named,
     gathered,
+    named,
+    of_all,
     of_one,
     weight_groups,
 )
@@ -39,8 +49,24 @@ FEW = 3  # degrees of freedom, below which a common scatter is hardly told
 MOST = 0.25  # of the actuators that may leave the family, or there is none
 
 
-def track(*given: Given, force: bool = False, segment: int | None = None) -> Tracking:
-    """Find how alpha varies with temperature and time.
+@overload
+def track(
+    *given: Calibration | Campaign, force: bool = False, segment: int | None = None,
+    processes: int | None = None,
+) -> Tracking: ...  # fmt: skip
+@overload
+def track(
+    *given: Parts[Calibration] | SegmentedData, force: bool = False, segment: None = None,
+    processes: int | None = None,
+) -> Parts[Tracking]: ...  # fmt: skip
+@overload
+def track(
+    *given: Given, force: bool = False, segment: int | None = None, processes: int | None = None
+) -> Tracking | Parts[Tracking]: ...
+def track(
+    *given: Given, force: bool = False, segment: int | None = None, processes: int | None = None
+) -> Tracking | Parts[Tracking]:
+    """Find how alpha varies with temperature and time; of several segments each by itself.
 
     Parameters
     ----------
@@ -51,7 +77,9 @@ def track(*given: Given, force: bool = False, segment: int | None = None) -> Tra
     force
         Take calibrations whose verdict is 'rejected', too.
     segment
-        Number of the segment that is tracked, of files of a mirror in several.
+        Number of the only segment that is tracked, of files of a mirror in several.
+    processes
+        As of `calibrate`.
 
     Raises
     ------
@@ -60,15 +88,28 @@ def track(*given: Given, force: bool = False, segment: int | None = None) -> Tra
     UnreadableFile, FormatError, CampaignMismatch
         Files that cannot be tracked, or not together.
     RankDeficient
-        One calibration only, or all at one temperature on one day.
+        One calibration only, or all at one temperature on one day; of all segments.
 
     Examples
     --------
     >>> tracking = tn.track(calibration, warm)
     >>> f"{100 * np.mean(tracking.coefficient):.2f} % per kelvin"
     '-0.10 % per kelvin'
+    >>> law = tn.track(pair(calibration), pair(warm), processes=1)
+    >>> law.numbers, law.part(2).effects
+    ((1, 2), ('temperature',))
     """
-    days = gathered(of_one(given, segment), force=force)
+    every = [named(item) for item in given]
+    if segment is None and any(has_parts(day.data) for day in every):
+        together = of_all(every)
+        executor = executor_for(together.layout, processes)
+        return together.solved(lambda _: partial(_law, force=force), "a law", executor)
+    return _law(of_one(every, segment), force=force)
+
+
+def _law(given: Sequence[Named], *, force: bool) -> Tracking:
+    """Return the law of one body."""
+    days = gathered(given, force=force)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(

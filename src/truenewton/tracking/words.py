@@ -5,18 +5,17 @@ from __future__ import annotations
 import datetime
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from truenewton.calibration.words import row
-from truenewton.records.of_segments import together
+from truenewton.records.parts import Parts, has_parts
 from truenewton.rounding import by_chance, counted, numbered, with_error
 from truenewton.tracking.law import Tracking
-from truenewton.tracking.segmented import SegmentedTracking
-from truenewton.tracking.validity import Validity
+from truenewton.tracking.validity import Validity, validity_of
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
@@ -27,9 +26,12 @@ OUTLYING = {
 MOST_ROWS, FIRST_ROWS = 60, 10  # of the table of actuators; of a longer one only the first
 
 
-def lines(tracking: Tracking, validity: Validity | None) -> Iterator[str]:
-    """Yield what was found, for people."""
+def lines(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> Iterator[str]:
+    """Yield what was found, for people, and how long it holds to an accuracy."""
     t = tracking
+    if has_parts(t):
+        yield from _lines_of_parts(t, accuracy)
+        return
     yield headline(t)
     for day in t.days:
         verdict = f"{day.verdict}: " if day.verdict else ""
@@ -39,8 +41,7 @@ def lines(tracking: Tracking, validity: Validity | None) -> Iterator[str]:
     yield from _table(t)
     for remark in remarks(t):
         yield f"  {remark}"
-    if validity is not None:
-        yield from _validity_lines(validity)
+    yield from _validity_lines(t, accuracy)
 
 
 def headline(tracking: Tracking) -> str:
@@ -101,8 +102,11 @@ def _table(t: Tracking) -> Iterator[str]:
         yield f"  and {counted(t.layout.n - shown, 'actuator')} more"
 
 
-def _validity_lines(v: Validity) -> Iterator[str]:
+def _validity_lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]:
     """Yield the answer to: when is a new calibration due."""
+    if accuracy is None:
+        return
+    v = validity_of(tracking, accuracy)
     wanted = f"{100 * v.accuracy:.2g} %"
     if v.now > v.accuracy:
         yield (
@@ -130,56 +134,50 @@ def _span(
     return ", and ".join(parts)
 
 
-def segmented_lines(
-    tracking: SegmentedTracking, validities: Mapping[int, Validity]
-) -> Iterator[str]:
-    """Yield what was found of all segments, for people; what is the same of several once."""
-    t = tracking
-    first, last = t.days[0].date, t.days[-1].date
+def _lines_of_parts(t: Parts[Tracking], accuracy: float | None) -> Iterator[str]:
+    """Yield what was found of all segments; what is the same of several once."""
+    days = next(iter(t.found.values())).days
+    first, last = days[0].date, days[-1].date
     yield (
-        f"{t.instrument}: {len(t.days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d}, of"
+        f"{t.instrument}: {len(days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d}, of"
         f" {counted(t.numbers, 'segment')}"
         + (f", {len(t.refused)} without a law" if t.refused else "")
     )
-    for day in t.days:
+    for day in days:
         yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {day.name}"
     for number in t.numbers:
         if number in t.refused:
             yield row(f"segment {number}", "no law")
             continue
-        law = t.segments[number]
+        law = t.found[number]
         yield f"  segment {number}, alpha at {_degrees(law.temperature)} on {law.date:%Y-%m-%d}"
         for name, value in summary_rows(law):
             yield f"  {row(name, value)}"
-    said = [(number, f"{fault}; {remedy}") for number, fault, remedy in t.refusals]
-    for number, law in t.segments.items():
-        said += [(number, remark) for remark in remarks(law)]
-        if number in validities:
-            said += [(number, line.strip()) for line in _validity_lines(validities[number])]
-    for numbers, what in together(said):
-        yield f"  {numbered('segment', numbers)}: {what}"
+    said: dict[str, set[int]] = {}
+    for number, fault, remedy in t.refusals:
+        said.setdefault(f"{fault}; {remedy}", set()).add(number)
+    for number, law in t.found.items():
+        for line in (*remarks(law), *_validity_lines(law, accuracy)):
+            said.setdefault(line.strip(), set()).add(number)
+    for line, numbers in said.items():
+        yield f"  {numbered('segment', sorted(numbers))}: {line}"
 
 
-def segmented_values(
-    tracking: SegmentedTracking, validities: Mapping[int, Validity]
-) -> dict[str, Any]:
+def values(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> dict[str, Any]:
     """Return the same figures for a script."""
     t = tracking
-    return {
-        "instrument": t.instrument,
-        "segments": [
-            {"segment": number, **values(t.segments[number], validities.get(number))}
-            if number in t.segments
-            else {"segment": number, "faults": [f._asdict() for f in t.refused[number]]}
-            for number in t.numbers
-        ],
-    }
-
-
-def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
-    """Return the same figures for a script."""
-    t, errors = tracking, tracking.errors
-    values: dict[str, Any] = {
+    if has_parts(t):
+        return {
+            "instrument": t.instrument,
+            "segments": [
+                {"segment": number, **values(t.found[number], accuracy)}
+                if number in t.found
+                else {"segment": number, "faults": [f._asdict() for f in t.refused[number]]}
+                for number in t.numbers
+            ],
+        }
+    errors = t.errors
+    figures: dict[str, Any] = {
         "instrument": t.instrument,
         "temperature": t.temperature,
         "date": t.date.isoformat(),
@@ -203,12 +201,12 @@ def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
             "k": t.coefficient, "e_k": errors[1], "drift": t.drift, "e_drift": errors[2],
         },
     }  # fmt: skip
-    if validity is not None:
-        values["validity"] = {
+    if accuracy is not None:
+        figures["validity"] = {
             key: value.isoformat() if isinstance(value, datetime.datetime) else value
-            for key, value in asdict(validity).items()
+            for key, value in asdict(validity_of(t, accuracy)).items()
         }
-    return values
+    return figures
 
 
 def _degrees(temperature: float) -> str:

@@ -3,7 +3,6 @@
 page            the page itself
 section         what it is made of
 sections        the sections of a calibration and its evidence
-segments        the sections of a mirror in several segments
 modal_sections  the sections of the modal base
 views           map and rings of the actuators, which share one selection
 actuator_plots  their figures, of Bokeh

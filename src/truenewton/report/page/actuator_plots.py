@@ -32,8 +32,7 @@ from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.result import AnyCalibration
 from truenewton.figures.maps import (
     bears_names,
     dot_radius,
@@ -135,14 +134,12 @@ def palette(layer: Layer) -> tuple[str, ...]:
 
 
 def alpha_by_ring(
-    source: ColumnDataSource,
-    calibration: Calibration | SegmentedCalibration,
-    layers: tuple[Layer, ...],
+    source: ColumnDataSource, calibration: AnyCalibration, layers: tuple[Layer, ...]
 ) -> Plot:
     """Return alpha per actuator, ring by ring, with bars of three errors from the readings."""
     plot, layout = _empty_plot(), calibration.layout
-    source.data["low"] = calibration.alpha - 3 * calibration.reading_error
-    source.data["high"] = calibration.alpha + 3 * calibration.reading_error
+    alpha, error = calibration.column("alpha"), calibration.column("reading_error")
+    source.data["low"], source.data["high"] = alpha - 3 * error, alpha + 3 * error
     plot.segment(x0="number", x1="number", y0="low", y1="high", source=source, line_color=INK,
                  nonselection_line_alpha=0.2)  # fmt: skip
     _actuator_points(plot, source, layout, "alpha", layers)

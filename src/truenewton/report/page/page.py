@@ -16,22 +16,30 @@ from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.segment_words import segmented_headline
-from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.words import headline, summary_rows
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
+from truenewton.records.parts import has_parts
 from truenewton.records.source import Source
 from truenewton.report.change import Change
 from truenewton.report.figures import figures_of
-from truenewton.report.investigate import Findings
 from truenewton.report.page.actuator_plots import palette
 from truenewton.report.page.modal_sections import modal_sections
 from truenewton.report.page.section import TextTable
-from truenewton.report.page.sections import evidence_sections, times
-from truenewton.report.page.segments import changed_segments, segment_sections
+from truenewton.report.page.sections import (
+    changed_segments,
+    evidence_sections,
+    segment_sections,
+    times,
+)
 from truenewton.report.page.views import Actuators, calibration_views, change_views, segment_views
-from truenewton.report.verdict import verdict, verdict_on_change, verdict_on_whole
+from truenewton.report.verdict import (
+    Reported,
+    sources_of,
+    verdict,
+    verdict_on_change,
+    verdict_on_whole,
+)
 
 # Bokeh's script, which stands in the page; only what figures need.
 BOKEH = Resources(mode="inline", components=["bokeh"], minified=True)
@@ -40,7 +48,7 @@ LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
 
 def write_report(
     path: str | os.PathLike[str],
-    findings: Findings | Change | SegmentedCalibration,
+    findings: Reported,
     *,
     command: str = "",
     edges: Sequence[Array] = (),
@@ -76,20 +84,20 @@ def write_report(
 
 
 def page(
-    findings: Findings | Change | SegmentedCalibration,
+    findings: Reported,
     command: str = "",
     edges: Sequence[Array] = (),
 ) -> str:
     """Return the page as HTML; edges of the glass are (vertices, 2) polygons [m]."""
-    if isinstance(findings, SegmentedCalibration):
+    if has_parts(findings):
         return _rendered(
             title=f"{findings.instrument}: calibration of its segments",
-            heading=segmented_headline(findings),
+            heading=headline(findings),
             verdict=verdict_on_whole(findings),
             actuators=segment_views(findings, edges),
             sections=tuple(segment_sections(findings)),
             drawn={},
-            tables=(_files(findings.sources, "Files"),),
+            tables=(_files(sources_of(findings), "Files"),),
             command=command,
         )
     if isinstance(findings, Change):
@@ -100,8 +108,11 @@ def page(
             actuators=change_views(findings, edges),
             sections=(),
             drawn={},
-            tables=(_summaries(findings), _files(findings.one.sources, "First calibration: files"),
-                    _files(findings.other.sources, "Second calibration: files")),
+            tables=(
+                _summaries(findings),
+                _files(sources_of(findings.one), "First calibration: files"),
+                _files(sources_of(findings.other), "Second calibration: files"),
+            ),
             command=command,
         )  # fmt: skip
     c, instrument = findings.calibration, findings.data.instrument
@@ -123,9 +134,9 @@ def page(
 
 
 def _summaries(change: Change) -> TextTable:
-    pair = [c for c in (change.one, change.other) if isinstance(c, Calibration)]
-    if len(pair) < 2:
+    if change.segments:
         return changed_segments(change)
+    pair = [c for c in (change.one, change.other) if isinstance(c, Calibration)]
     one, other = ({name: value for name, value, _ in summary_rows(c)} for c in pair)
     rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in pair)),
             ("method", *(c.method for c in pair))]  # fmt: skip

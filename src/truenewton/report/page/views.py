@@ -10,9 +10,9 @@ from bokeh.models import ColumnDataSource
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.findings.scale_budget import typical
+from truenewton.records.parts import Parts
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
 from truenewton.report.layers import Layer, calibration_layers, segment_layers
@@ -73,11 +73,11 @@ def calibration_views(findings: Findings, c: Calibration, edges: Sequence[Array]
     return Actuators(c.layout, layers, views)
 
 
-def segment_views(c: SegmentedCalibration, edges: Sequence[Array] = ()) -> Actuators:
+def segment_views(c: Parts[Calibration], edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of alpha of all segments; edges (vertices, 2) [m]."""
     layers = segment_layers(c)
     source = actuator_source(c.layout, layers)
-    means = ", ".join(f"{n}: {np.nanmean(one.alpha):.3f}" for n, one in c.segments.items())
+    means = ", ".join(f"{n}: {np.nanmean(one.alpha):.3f}" for n, one in c.found.items())
     caption = (
         "Alpha of each actuator, segment by segment. Bars: three standard uncertainties from the"
         f" readings (3 E_STAT). Means of the segments: {means}."

@@ -1,0 +1,516 @@
+"""A mirror in several segments: a part for each number, or the reason why there is none.
+
+Each segment is a body of its own, and what is done to one body is done to each. `Parts` holds the
+results; its file is derived from the file of one (`PartKind`).
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import (
+    CampaignMismatch,
+    Fault,
+    FormatError,
+    RankDeficient,
+    TrueNewtonError,
+    UnreadableFile,
+    located,
+)
+from truenewton.files.content import FitsFile
+from truenewton.files.fits import write_fits
+from truenewton.files.format import (
+    Attribute,
+    Column,
+    FileFormat,
+    Keyword,
+    TableFormat,
+    iso,
+    quantities,
+    value_of,
+)
+from truenewton.progress import telling, telling_of
+from truenewton.records.file import ENABLED, ID, NZ, X, Y
+from truenewton.records.segment import require_segment
+from truenewton.rounding import counted
+from truenewton.statics.layout import Layout
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.axes import Axes
+    from typing_extensions import TypeIs
+
+Part = TypeVar("Part")
+Result = TypeVar("Result")
+Faults = tuple[Fault, ...]
+
+
+class Executor(Protocol):
+    """What maps a function to items in other processes, as a `concurrent.futures.Executor`."""
+
+    def map(self, fn: Callable[..., Any], *iterables: Iterable[Any]) -> Iterable[Any]:
+        """Return the results in order."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InParts(Generic[Part]):
+    """A mirror in several segments.
+
+    Attributes
+    ----------
+    instrument
+        The mirror.
+    layout
+        The n actuators of all segments.
+    refused
+        Why segments have no part, each with its remedy, by number.
+    """
+
+    instrument: str
+    layout: Layout
+    refused: Mapping[int, Faults] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Of all segments, ascending."""
+        return self.layout.segments
+
+    def part(self, number: int) -> Part:
+        """Return the part of one segment.
+
+        Raises
+        ------
+        UnknownName
+            There is no such segment.
+        RankDeficient
+            It has no part; the message says why.
+        """
+        if number in self.refused:
+            fault, remedy = self.refused[number][0]
+            raise RankDeficient(f"segment {number} gave no alpha: {fault}", remedy=remedy)
+        require_segment(number, self.numbers)
+        return self._part(number)
+
+    def _part(self, number: int) -> Part:
+        raise NotImplementedError
+
+    def of(self, number: int) -> NDArray[np.bool_]:
+        """Return (n,) which actuators are of a segment."""
+        return np.asarray(np.asarray(self.layout.segment) == number)
+
+    def own(self, number: int, ids: Iterable[int]) -> list[int]:
+        """Return those of some IDs whose actuators are of a segment."""
+        return [one for one in ids if one in self.layout.id[self.of(number)]]
+
+    def map(
+        self, function: Callable[[Part], Result], executor: Executor | None = None
+    ) -> Parts[Result]:
+        """Return what a function gives of each part.
+
+        A part of which it raises one of `errors` is refused, and does not harm the others.
+
+        Parameters
+        ----------
+        function
+            Of a part.
+        executor
+            Does the work in other processes, as a `concurrent.futures.ProcessPoolExecutor`; here
+            and in turn if None.
+
+        Raises
+        ------
+        RankDeficient
+            The function gives nothing of any part.
+        """
+        return self.solved(lambda _: function, "a result", executor)
+
+    def solved(
+        self,
+        solver: Callable[[int], Callable[[Part], Result]],
+        what: str,
+        executor: Executor | None = None,
+    ) -> Parts[Result]:
+        """Return the same, of a function for each number; ``what`` names its result."""
+        numbers = [number for number in self.numbers if number not in self.refused]
+
+        def pairs() -> Iterator[tuple[Callable[[Part], Result], Part] | Fault]:
+            for number in numbers:
+                try:
+                    yield solver(number), self.part(number)
+                except UnreadableFile:
+                    raise
+                except TrueNewtonError as error:
+                    yield _fault_of(error)
+
+        answers = (map if executor is None else executor.map)(_attempt, pairs())
+        found: dict[int, Result] = {}
+        refused = dict(self.refused)
+        told = telling_of(answers, len(numbers), "segments")
+        for number, answer in zip(numbers, told, strict=True):
+            if isinstance(answer, Fault):
+                refused[number] = (answer,)
+            else:
+                found[number] = answer
+        if not found:
+            number, ((fault, remedy), *_) = next(iter(refused.items()))
+            raise RankDeficient(
+                f"no segment gives {what}; segment {number}: {fault}", remedy=remedy
+            )
+        return Parts(self.instrument, self.layout, found, refused=refused)
+
+
+def _fault_of(error: TrueNewtonError) -> Fault:
+    return Fault(f"{error.path}: {error.fault}" if error.path else error.fault, error.remedy)
+
+
+def _attempt(pair: tuple[Callable[[Part], Result], Part] | Fault) -> Result | Fault:
+    """Return what a function gives of a part, or why it gives nothing."""
+    if isinstance(pair, Fault):
+        return pair
+    function, part = pair
+    # The whole is warned of, and what is found of one segment is no result of all.
+    with warnings.catch_warnings(), telling(lambda *_: None):
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("error", RuntimeWarning)  # what overflows is no result
+        try:
+            return function(part)
+        except UnreadableFile:
+            raise
+        except TrueNewtonError as error:
+            return _fault_of(error)
+        except (ArithmeticError, RuntimeWarning, np.linalg.LinAlgError) as error:
+            return Fault(
+                f"the calculation broke down ({error})",
+                "numbers are too large, too small or too much alike; look at each file with `info`",
+            )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Parts(InParts[Part]):
+    """What was found of the segments of a mirror, each by itself.
+
+    `calibrate`, `track`, `recalibrate` and `find_modes` return it of data in several segments.
+    Arrays over actuators are in the order of ``layout``, NaN if their segment has no part.
+
+    Attributes
+    ----------
+    instrument
+        The mirror.
+    layout
+        The n actuators of all segments.
+    found
+        What was found of a segment, as a `Calibration`, by its number.
+    refused
+        Why nothing was found of the others, each with its remedy, by number.
+
+    Raises
+    ------
+    FormatError
+        The two do not name each segment once, or something is of other actuators.
+
+    Examples
+    --------
+    >>> made = tn.calibrate(tn.SegmentedData(stiffness=both), processes=1)
+    >>> {number: one.method for number, one in made.found.items()}, len(made.refused)
+    ({1: 'ml', 2: 'ml'}, 0)
+    >>> made.column("alpha").shape, made.part(2).alpha.shape
+    ((90,), (45,))
+    >>> made.map(lambda one: float(np.mean(one.alpha))).found.keys()
+    dict_keys([1, 2])
+    """
+
+    found: Mapping[int, Part]
+
+    def __post_init__(self) -> None:
+        numbers = sorted((*self.found, *self.refused))
+        if not self.found or tuple(numbers) != self.numbers:
+            raise FormatError(
+                "SEGMENTS does not name each segment of the actuators once",
+                remedy="make the file again",
+                got=tuple(numbers),
+                want=self.numbers,
+            )
+        for number, one in self.found.items():
+            layout = getattr(one, "layout", None)
+            own = self.layout.id[self.of(number)]
+            if layout is not None and not np.array_equal(layout.id, own):
+                raise FormatError(
+                    f"the actuators of segment {number} are not those of the mirror",
+                    remedy="make the file again",
+                )
+        for name in ("found", "refused"):
+            ordered = dict(sorted(getattr(self, name).items()))
+            object.__setattr__(self, name, MappingProxyType(ordered))
+
+    def __repr__(self) -> str:
+        no = f", {len(self.refused)} refused" if self.refused else ""
+        kind = type(self._first).__name__
+        return f"<Parts of {self.instrument}: {kind} of {counted(self.numbers, 'segment')}{no}>"
+
+    def _repr_html_(self) -> str | None:
+        kind = KINDS.get(type(self._first))
+        return kind.html(self) if kind and kind.html else None
+
+    def _part(self, number: int) -> Part:
+        return self.found[number]
+
+    @property
+    def _first(self) -> Part:
+        return next(iter(self.found.values()))
+
+    @property
+    def _kind(self) -> PartKind[Part]:
+        return KINDS[type(self._first)]
+
+    @property
+    def refusals(self) -> tuple[tuple[int, str, str], ...]:
+        """The same as ``refused``, in rows: number, fault and remedy."""
+        return tuple((number, *one) for number, faults in self.refused.items() for one in faults)
+
+    def column(self, attribute: Attribute) -> Array:
+        """Return (n,) a quantity of the actuators by its name, as 'alpha' or 'errors.1'."""
+        out = np.full(self.layout.n, np.nan)
+        for number, one in self.found.items():
+            out[self.of(number)] = value_of(one, attribute)
+        return out
+
+    @property
+    def verdict(self) -> Any:
+        """The verdict on all calibrations together; each finding names its segments."""
+        return self._kind.verdict(self)
+
+    @property
+    def table(self) -> QTable:
+        """One row per actuator: ID, X, Y, SEGMENT, and what was found, with units."""
+        table = quantities(self, self._kind.actuators, without=("NZ", "ENABLED"))
+        table.meta = {"INSTRUME": self.instrument}
+        return table
+
+    def plot_map(self, ax: Axes | None = None) -> Axes:
+        """Draw alpha on the map of the actuators (paper, fig. 6); return the axes."""
+        drawn: Axes = self._kind.plot_map(self, ax)
+        return drawn
+
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write all parts into one file, as one of them is written (docs/files.md).
+
+        Raises
+        ------
+        OutputExists, OutputFailed
+        """
+        self._kind.write(self, path, overwrite=overwrite)
+
+
+def write_parts(
+    parts: Parts[Any], path: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
+    """Write parts as a FITS file, the extensions of each under its number as EXTVER.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    kind = parts._kind
+    write_fits(path, kind.whole, parts, versions=parts.found, of_version=kind.form,
+               overwrite=overwrite)  # fmt: skip
+
+
+def refuse_other_mirror(given: Any, mirror: Any, than: str, path: str, remedy: str) -> None:
+    """Refuse what a path gives if it is not of a mirror, of which what ``than`` names is.
+
+    Raises
+    ------
+    CampaignMismatch
+    """
+    fault, apart = "", mirror.layout.other_actuators(given.layout)
+    if given.instrument != mirror.instrument:
+        fault = f"is of {given.instrument}, {than} of {mirror.instrument}"
+    elif apart or given.layout.segments != mirror.layout.segments:
+        fault = f"has other actuators than {than}{f': {apart}' if apart else ''}"
+    if fault:
+        raise CampaignMismatch(
+            fault, remedy=remedy, path=path, got=given.instrument, want=mirror.instrument
+        )
+
+
+def has_parts(data: object) -> TypeIs[InParts[Any]]:
+    """Tell whether something is of several segments, not of one body."""
+    return isinstance(data, InParts)
+
+
+def by_number(made: Part | Parts[Part]) -> Mapping[int, Part]:
+    """Return what was found of each segment by its number; of one body by 0."""
+    return made.found if isinstance(made, Parts) else {0: made}
+
+
+def apply(function: Callable[[Part], Result], made: Part | Parts[Part]) -> Result | Parts[Result]:
+    """Return what a function gives of one body, or of each part."""
+    return made.map(function) if isinstance(made, Parts) else function(made)
+
+
+# -- the file of all parts ------------------------------------------------------------------------
+
+REFUSED = TableFormat(
+    "REFUSED",
+    (
+        Column("SEGMENT", "0", kind="int"),
+        Column("FAULT", "1", kind="str"),
+        Column("REMEDY", "2", kind="str"),
+    ),
+    of="refusals",
+    optional=True,
+)
+SEGMENT = Column("SEGMENT", "layout.segment", kind="int")
+SHARED = ("INSTRUME", "DATE-OBS", "DATE-END", "VERDICT")  # keywords of one body, and of all
+
+
+def _unsupported(parts: Parts[Any], *_: object, **__: object) -> Any:
+    raise TypeError(f"this is not known of {parts!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class PartKind(Generic[Part]):
+    """How parts of one class are kept in a file, judged and drawn together.
+
+    Attributes
+    ----------
+    form, read
+        The file of one body; its first extension has a row for each actuator.
+    name
+        Of the table that has a row for each actuator of all segments.
+    summary
+        Keywords of one body that become columns of SEGMENTS, and what stands for a segment that was
+        refused.
+    counts
+        Further columns of SEGMENTS: integers of a part by name.
+    verdict, html, plot_map, write
+        What these methods of `Parts` call.
+    """
+
+    form: FileFormat
+    read: Callable[[FitsFile], Part]
+    name: str
+    summary: Mapping[str, Any]
+    counts: Mapping[str, Callable[[Part], int]] = field(default_factory=dict)
+    verdict: Callable[..., Any] = _unsupported
+    html: Callable[..., str] | None = None
+    plot_map: Callable[..., Any] = _unsupported
+    write: Callable[..., None] = write_parts
+
+    @cached_property
+    def actuators(self) -> TableFormat:
+        """The table of all actuators; a column that a part may lack is left out."""
+        places = (ID, X, Y, NZ)
+        own = [
+            Column(column.name, partial(_column, column.attribute), column.unit)
+            for column in self.form.extensions[0].columns  # type: ignore[union-attr]
+            if column not in places and column.absent is not None
+        ]
+        return TableFormat(self.name, (ID, X, Y, SEGMENT, *own, NZ, ENABLED))
+
+    @cached_property
+    def whole(self) -> FileFormat:
+        """The file of all parts, but for the extensions of each."""
+        keywords = {keyword.name: keyword for keyword in self.form.keywords}
+        segments = [Column("SEGMENT", lambda parts: parts.numbers, kind="int")]
+        segments += [_summary(keywords[name], none) for name, none in self.summary.items()]
+        segments += [
+            Column(name, partial(_of_segments, count, 0), kind="int")
+            for name, count in self.counts.items()
+        ]
+        return FileFormat(
+            tuple(_shared(keyword) for name, keyword in keywords.items() if name in SHARED),
+            (self.actuators, TableFormat("SEGMENTS", tuple(segments)), REFUSED),
+        )
+
+
+KINDS: dict[type, PartKind[Any]] = {}
+
+
+def _column(attribute: Attribute, parts: Parts[Any]) -> Array:
+    """Return (n,) what `Parts.column` does."""
+    return parts.column(attribute)
+
+
+def _of_found(attribute: Attribute, parts: Parts[Any]) -> dict[int, Any]:
+    """Return an attribute of each part by its number."""
+    return {number: value_of(one, attribute) for number, one in parts.found.items()}
+
+
+def _of_segments(attribute: Attribute, none: Any, parts: Parts[Any]) -> list[Any]:
+    """Return an attribute of each part, or another value if there is no part or no value."""
+    values = _of_found(attribute, parts)
+    return [none if values.get(k) is None else values[k] for k in parts.numbers]
+
+
+def _summary(keyword: Keyword, none: Any) -> Column:
+    """Return a keyword of one body as a column of SEGMENTS."""
+    values = partial(_of_segments, keyword.attribute, none)
+    if keyword.kind == "date":
+        return Column(keyword.name, lambda parts: [d and iso(d) for d in values(parts)], kind="str")
+    kind = "int" if keyword.kind == "count" else keyword.kind
+    return Column(keyword.name, values, keyword.unit or None, kind)
+
+
+def _shared(keyword: Keyword) -> Keyword:
+    """Return a keyword of one body as the file of all parts has it."""
+    if keyword.name in ("DATE-OBS", "DATE-END"):
+        choose = min if keyword.name == "DATE-OBS" else max
+        dates = partial(_of_found, keyword.attribute)
+        return replace(keyword, attribute=lambda parts: choose(dates(parts).values()))
+    of_all = keyword.name == "VERDICT"
+    return replace(keyword, comment="of all segments") if of_all else keyword
+
+
+def parts_from(file: FitsFile, kind: PartKind[Part]) -> Parts[Part]:
+    """Return the parts that a file holds.
+
+    Raises
+    ------
+    FormatError
+        The file breaks its contract.
+    """
+    alpha = TableFormat(kind.name, (Column("ALPHA", "alpha"),))
+    form = kind.whole
+    values = file.values(FileFormat(form.keywords, (*form.extensions, alpha)))
+    layout = file.filled(Layout, values["layout"])
+    rows = values.get("refusals", {"0": np.empty(0, dtype=int), "1": (), "2": ()})
+    refused: dict[int, Faults] = {}
+    for number, *fault in zip(rows["0"].tolist(), rows["1"], rows["2"], strict=True):
+        refused[number] = (*refused.get(number, ()), Fault(*fault))
+    found = {}
+    for number, version in file.versions.items():
+        try:
+            found[number] = kind.read(version)
+        except TrueNewtonError as error:
+            raise error.changed(fault=f"of segment {number}, {error.fault}") from None
+    try:
+        made = Parts(values["instrument"], layout, found, refused=refused)
+    except TrueNewtonError as error:
+        raise located(error, file.path) from None
+    if not np.array_equal(made.column("alpha"), values["alpha"], equal_nan=True):
+        raise FormatError(
+            "ALPHA is not that of the segments", remedy="make the file again", path=file.path
+        )
+    return made
+
+
+def body_or_parts_from(file: FitsFile, kind: PartKind[Part]) -> Part | Parts[Part]:
+    """Return what a file holds: of one body, or of several segments.
+
+    Raises
+    ------
+    FormatError
+        The file breaks its contract.
+    """
+    return parts_from(file, kind) if "SEGMENTS" in file.extensions else kind.read(file)
