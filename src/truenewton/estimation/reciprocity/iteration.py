@@ -209,11 +209,10 @@ def _covariance(
             "reciprocity does not hold all that is asked of it",
             remedy="give the sensor gains",
         ) from None
-    scales = np.zeros((len(held), 2 if np.isinf(asked.gain_spread) else 1), held.dtype)
-    for k in range(scales.shape[1]):  # what the hold itself says of the scale is no knowledge
-        scales[k * n : (k + 1) * n, k] = 1.0 / np.sqrt(n)
-    inverse -= scales @ (scales.T @ inverse)
-    inverse -= (inverse @ scales) @ scales.T
+    for k in range(2 if np.isinf(asked.gain_spread) else 1):  # what holds the scale is no knowledge
+        some = slice(k * n, (k + 1) * n)
+        inverse[some] -= inverse[some].mean(axis=0)
+        inverse[:, some] -= inverse[:, some].mean(axis=1, keepdims=True)
     return inverse, leverage
 
 
