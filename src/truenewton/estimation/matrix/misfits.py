@@ -25,6 +25,7 @@ from truenewton.estimation.matrix.couplings import (
     relative_couplings,
     typical_spacing,
 )
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import row_order
 
 MAX_ALPHA_RATIO = 3.0  # of alpha from that of the others
@@ -71,17 +72,16 @@ class FitsNoSymmetry(RankDeficient):
 
 
 def bad_actuators(
-    k: Array, a: Array, gaps: Array, filled: Sequence[int] = ()
+    facts: MatrixFacts, gaps: Array, filled: Sequence[int] = ()
 ) -> tuple[tuple[BadActuator, ...], Array]:
     """Return the actuators that do not fit the others, and the stiffness mended where it can be.
 
     Parameters
     ----------
-    k
-        (n, n) stiffness [N/m], no row or column zero throughout.
-    a, gaps
-        (3, n) arms in comparable units; and (3, m) of actuators that are not in the matrix, about
-        which columns need not balance.
+    facts
+        Of a stiffness of which no row or column is zero throughout.
+    gaps
+        (3, m) arms of actuators that are not in the matrix, about which columns need not balance.
     filled
         Whose rows or columns were not there, and are by symmetry.
 
@@ -93,7 +93,7 @@ def bad_actuators(
         More than a few do not fit for other reasons.
     """
     found: dict[int, BadActuator] = {}
-    n = len(k)
+    k, a, n = facts.stiffness, facts.arms, len(facts.stiffness)
 
     def add(indices: NDArray[np.int64], reason: str, sizes: Array) -> None:
         for index, size in zip(indices.tolist(), sizes.tolist(), strict=True):
@@ -115,7 +115,9 @@ def bad_actuators(
     wrong = np.flatnonzero(sign * own <= 0.0)
     add(wrong, OTHER_SIGN, own[wrong] / np.median(own))
     factor = np.where(own < 0.0, -1.0, 1.0)
-    log_alpha, misfit = pair_ratios(factor[:, None] * k[order])
+    as_measured = (factor > 0.0).all() and not moved.size
+    ratios = facts.pair_ratios if as_measured else pair_ratios(factor[:, None] * k[order])
+    log_alpha, misfit = ratios[0], ratios[1].copy()
     linked = ~np.isnan(misfit)
     even = (factor * np.exp(log_alpha))[:, None] * k[order]
     off = displaced(even, a)

@@ -106,7 +106,8 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     if np.count_nonzero(~off) >= MIN_JUDGED_ACTUATORS:
         length = float(np.linalg.norm(enabled_arms(matrix.layout)[1:]) / np.linalg.norm(a[1:]))
         try:
-            found, k = _mended(k, a, off, [each.index for each in half], length)
+            measured = facts if k is facts.stiffness and not off.any() else None
+            found, k = _mended(k, a, off, [each.index for each in half], length, measured)
         except FitsNoSymmetry as error:
             unsure = (_as_measured(error),)
     known = {each.index for each in half}
@@ -167,16 +168,23 @@ def released(matrix: StiffnessMatrix) -> StiffnessMatrix:
 
 
 def _mended(
-    k: Array, a: Array, off: NDArray[np.bool_], filled: list[int], length: float
+    k: Array,
+    a: Array,
+    off: NDArray[np.bool_],
+    filled: list[int],
+    length: float,
+    facts: MatrixFacts | None,
 ) -> tuple[tuple[BadActuator, ...], Array]:
     """Return the actuators that do not fit, by their index among all, and (n, n) k mended.
 
-    How far one is from its place is in metres, by the ``length`` of a unit of the arms.
+    How far one is from its place is in metres, by the ``length`` of a unit of the arms. Facts of k
+    are made where there are none.
     """
     measured = np.flatnonzero(~off)
     block = np.ix_(measured, measured)
     among = np.searchsorted(measured, filled).tolist()
-    found, mended = bad_actuators(k[block], a[:, ~off], a[:, off], among)
+    facts = facts or MatrixFacts(k[block], a[:, ~off])
+    found, mended = bad_actuators(facts, a[:, off], among)
     bad = tuple(
         BadActuator(
             int(measured[each.index]),

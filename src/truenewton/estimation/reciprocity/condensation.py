@@ -30,10 +30,11 @@ def odd_actuators(stiffness: Array, start: Array | None = None) -> NDArray[np.in
 
     Rows and columns are made alike, robustly, as far as one factor for each actuator can. While the
     asymmetry of a row stands out, or all have less without one of the worst, that one goes whose
-    absence leaves least.
+    absence leaves least. ``start`` is the (n,) log alpha from symmetry, if known.
     """
     at, rest = np.arange(len(stiffness)), stiffness
-    found, (size, ratios) = list[int](), _asymmetry(stiffness, start)
+    ratios = pair_ratios(stiffness)[0] if start is None else start
+    found, size = list[int](), _asymmetry(stiffness, ratios)
     while len(found) <= max(2, int(MAX_FREED_FRACTION * len(stiffness))):
         worst = np.argsort(-size)
         tried = worst[rest.diagonal()[worst] != 0.0][
@@ -41,17 +42,20 @@ def odd_actuators(stiffness: Array, start: Array | None = None) -> NDArray[np.in
         ]  # one that yields can be free
         if not tried.size:
             break
-        left = [_asymmetry(_without(rest, int(k)), np.delete(ratios, k)) for k in tried]
-        best = int(np.argmin([np.sum(each**2) for each, _ in left]))
+        left, alike = list[Array](), list[Array]()
+        for k in tried.tolist():
+            alike.append(pair_ratios(_without(rest, k), np.delete(ratios, k))[0])
+            left.append(_asymmetry(_without(rest, k), alike[-1]))
+        best = int(np.argmin([np.sum(each**2) for each in left]))
         usual = np.median(size)
         if not (
             size.max() > MAX_ROW_ASYMMETRY * usual
-            or usual > MIN_ASYMMETRY_RATIO * np.median(left[best][0])
+            or usual > MIN_ASYMMETRY_RATIO * np.median(left[best])
         ):
             break
         found.append(int(at[tried[best]]))
         at, rest = np.delete(at, tried[best]), _without(rest, int(tried[best]))
-        size, ratios = left[best]
+        size, ratios = left[best], alike[best]
     return np.sort(np.array(found, dtype=np.int64))
 
 
@@ -65,16 +69,12 @@ def kept(stiffness: Array, start: Array | None = None) -> tuple[NDArray[np.bool_
     return keep, ()
 
 
-def _asymmetry(stiffness: Array, start: Array | None = None) -> tuple[Array, Array]:
-    """Return (n,) rms asymmetry of each row, made alike, in terms of a typical element.
-
-    And the (n,) log alpha that makes them alike, found from one nearby where there is one.
-    """
-    ratios = pair_ratios(stiffness, start)[0]
+def _asymmetry(stiffness: Array, ratios: Array) -> Array:
+    """Return (n,) rms asymmetry of each row, made alike, in terms of a typical element."""
     alike = np.exp(ratios)[:, None] * stiffness
     own = np.median(np.abs(alike), axis=1)  # that of a bad one may be anything
     typical = np.median(own) or np.inf  # 0 where most do not feel each other
-    return np.sqrt(np.mean((alike - alike.T) ** 2, axis=1)) / typical, ratios
+    return np.asarray(np.sqrt(np.mean((alike - alike.T) ** 2, axis=1)) / typical)
 
 
 def _without(stiffness: Array, k: int) -> Array:
