@@ -57,9 +57,10 @@ types: .venv-test/ready
 contracts: .venv-test/ready
 	.venv-test/bin/lint-imports
 
-# The rooms as a picture, from the import contract; what is largest in them.
+# The packages as a picture, from the import contract; the constants of estimation; what is largest.
 house: .venv-test/ready
 	.venv-test/bin/python docs/house.py
+	.venv-test/bin/python docs/constants.py
 
 sizes: .venv-test/ready
 	.venv-test/bin/python docs/house.py --sizes

@@ -203,7 +203,7 @@ def calibrate(
     method
         'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which makes use of what the
         sensors read; 'auto', reciprocity where it holds, else 'ml', which the verdict notes. Unless
-        given, 'auto' of a matrix and with ``motion``, else 'ml' (docs/decisions/0021).
+        given, 'auto' of a matrix and with ``motion``, else 'ml' (docs/decisions.md, 21).
     population
         Take the actuators for samples of one normal population of unknown spread: pulls what the
         data hardly hold toward the mean. With 'ml' only; the result names it.
