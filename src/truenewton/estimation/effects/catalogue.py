@@ -13,25 +13,20 @@ from functools import partial
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.effects.derivative import (
-    Derivative,
-    FittedRows,
-    OfEach,
-    without_direction,
-)
+from truenewton.estimation.effects.derivative import Derivative, FittedRows, OfEach
 from truenewton.estimation.effects.readings import (
     GAIN,
     ZERO,
     Field,
     OnReadings,
     RowFunctions,
-    about_mean,
+    Sizes,
     always,
-    of_all,
-    of_each,
-    of_single,
+    derivative_of,
+    from_mean,
     on_readings,
     row_functions,
+    standing_out,
 )
 from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import Code
@@ -50,6 +45,7 @@ WITHIN = {
     Code.ZERO_BY_FILE_OF_EACH,
     Code.LOAD_REPOSITIONED,
 }
+MAX_AFFECTED_FRACTION = 0.1  # of the actuators: beyond it is no matter of single ones
 ACTUATORS_AT_ONCE = 64  # actuators whose parameters are judged together
 FIRST_FUNCTION = slice(0, 1)  # of one function
 
@@ -131,20 +127,25 @@ def _once(fit: FittedRows, field: Field, functions: RowFunctions, each: slice) -
 def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
     """Let alpha drift, of all together or of each: g = -c^ h, h the hours."""
     within = fit.moments.within
-    if within is None or not np.any(within.square > 0):
+    if not np.any(within.square > 0):
         return None
-    return (of_each if each else of_all)(fit, _gain(fit), _hour(within))
+    return derivative_of(fit, _gain(fit), Sizes(_hour(within), each))
 
 
 def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
-    """Let alpha differ from file to file, of all together or of single actuators: g = -c^."""
+    """Let alpha differ from file to file, of all together or of those that stand out: g = -c^."""
     within = fit.moments.within
-    if within is None or len(within.weight) < 3:
+    if len(within.weight) < 3:
         return None
-    files = _files(within)
-    if single:
-        return of_single(fit, _gain(fit), files, within.weight.sum(axis=1))
-    return about_mean(of_all(fit, _gain(fit), files), within.weight.sum(axis=1))
+    gain, files, mix = _gain(fit), _files(within), from_mean(within.weight.sum(axis=1))
+    if not single:
+        return derivative_of(fit, gain, Sizes(files, mix=mix))
+    affected = fit.affected
+    if affected is None:
+        affected = standing_out(gain, files, mix)
+        if not 0 < affected.size <= max(1, MAX_AFFECTED_FRACTION * fit.problem.n):
+            return None
+    return derivative_of(fit, gain, Sizes(files, True, mix, affected))
 
 
 def gain_by_load(fit: FittedRows) -> Derivative | None:
@@ -152,15 +153,15 @@ def gain_by_load(fit: FittedRows) -> Derivative | None:
     if len(fit.moments.loads) < 2:
         return None
     gain = _gain(fit)
-    return of_all(fit, gain, slice(gain.functions.within, len(gain.score)))
+    return derivative_of(fit, gain, Sizes(slice(gain.functions.within, len(gain.score))))
 
 
 def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     """Move the zero of the readings from file to file, of all alike or of each."""
     within = fit.moments.within
-    if within is None or len(within.weight) < 3:
+    if len(within.weight) < 3:
         return None
-    return (of_each if each else of_all)(fit, _zero(fit), _files(within))
+    return derivative_of(fit, _zero(fit), Sizes(_files(within), each))
 
 
 def load_repositioned(fit: FittedRows) -> Derivative | None:
@@ -168,8 +169,11 @@ def load_repositioned(fit: FittedRows) -> Derivative | None:
 
     As the zeros of each, less the direction that moves the sum: with it the scale would be lost.
     """
-    zeros = zero_by_file(fit, each=True)
-    return None if zeros is None else without_direction(zeros, fit.scaled_arms[0])
+    within = fit.moments.within
+    if len(within.weight) < 3:
+        return None
+    sizes = Sizes(_files(within), each=True, direction=fit.scaled_arms[0])
+    return derivative_of(fit, _zero(fit), sizes)
 
 
 def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -178,9 +182,9 @@ def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
     Which of both it is, no balance tells: readings and B move together.
     """
     within = fit.moments.within
-    if within is None or not np.any(within.square > 0):
+    if not np.any(within.square > 0):
         return None
-    return (of_each if each else of_all)(fit, _zero(fit), _hour(within))
+    return derivative_of(fit, _zero(fit), Sizes(_hour(within), each))
 
 
 def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
@@ -191,7 +195,7 @@ def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
         return -c * (c if power == 2 else c * c)
 
     found = _once(fit, Field(f"power {power}", bent), always(fit.moments), FIRST_FUNCTION)
-    return (of_each if each else of_all)(fit, found, FIRST_FUNCTION)
+    return derivative_of(fit, found, Sizes(FIRST_FUNCTION, each))
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
@@ -200,7 +204,7 @@ def coil_gradient(fit: FittedRows) -> Derivative | None:
     if z is None:
         return None
     field = Field("gradient", lambda at, some: -at.recorded(some) * z[:, some])
-    return of_all(fit, on_readings(fit, always(fit.moments), field), FIRST_FUNCTION)
+    return derivative_of(fit, on_readings(fit, always(fit.moments), field), Sizes(FIRST_FUNCTION))
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:

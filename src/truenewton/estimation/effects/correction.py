@@ -36,15 +36,12 @@ class Correction:
 
     Attributes
     ----------
-    effect
-        What was taken out.
     theta, covariance, effective_parameters
         (k,) its parameters, their (k, k) covariance, and how many the data tell: nu.
     problem, moments, minimum
         The data without it and their fit, whose covariance has what the effect's error adds.
     """
 
-    effect: Effect
     theta: Array
     covariance: Array
     effective_parameters: float
@@ -64,16 +61,17 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
     at, derivative, settled = fit, first, False
     for _ in range(MAX_CORRECTION_STEPS):
-        inverse = _inverse(result.information + np.eye(len(theta)) / tau2)
-        if inverse is None:
+        information = result.information + np.eye(len(theta)) / tau2
+        try:  # in the units of theta: an effect of no size at all is none that settles
+            factor = scipy.linalg.cho_factor(0.5 * (information + information.T))
+        except np.linalg.LinAlgError:
             return None
+        inverse = scipy.linalg.cho_solve(factor, np.eye(len(theta)))
         uphill = result.score + theta / tau2
         effective_parameters = float(np.sum(1.0 - np.diag(inverse) / tau2))
         if settled and float(uphill @ inverse @ uphill) < SETTLED_SQUARED_STEP:
-            minimum = with_error(at, result.moves, inverse)
-            return Correction(
-                effect, theta, inverse, effective_parameters, at.problem, at.moments, minimum
-            )
+            minimum = with_error(at.minimum, result.moves, inverse)
+            return Correction(theta, inverse, effective_parameters, at.problem, at.moments, minimum)
         theta = theta - inverse @ uphill
         before, tau2 = tau2, max(float(theta @ theta) / max(effective_parameters, 1e-3), 1e-300)
         settled = abs(np.log(before / tau2)) < 1e-2
@@ -101,19 +99,9 @@ def _with_noise_anew(problem: Problem, moments: Moments) -> Problem:
     return replace(problem, noise=replace(noise, share=share, share_freedom=freedom))
 
 
-def _inverse(matrix: Array) -> Array | None:
-    """Return the inverse of a symmetric matrix; None where it is not positive definite."""
-    try:
-        factor = scipy.linalg.cho_factor(0.5 * (matrix + matrix.T))
-    except np.linalg.LinAlgError:
-        return None
-    return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(matrix))))
-
-
-def with_error(fit: FittedRows, moves: Array, covariance: Array) -> Minimum:
-    """Return the minimum with what (k, k) C and (k, free) B add to its covariance, B' C B."""
-    minimum = fit.minimum
-    t = min(len(minimum.reading_covariance), moves.shape[1])
-    added = np.zeros_like(minimum.reading_covariance)
-    added[:t, :t] = moves[:, :t].T @ covariance @ moves[:, :t]
-    return replace(minimum, reading_covariance=minimum.reading_covariance + added)
+def with_error(minimum: Minimum, moves: Array, covariance: Array) -> Minimum:
+    """Return a minimum with what (k, k) C and (k, free) B add to its covariance, B' C B."""
+    added = minimum.reading_covariance.copy()
+    t = min(len(added), moves.shape[1])
+    added[:t, :t] += moves[:, :t].T @ covariance @ moves[:, :t]
+    return replace(minimum, reading_covariance=added)

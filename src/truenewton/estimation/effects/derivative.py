@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -139,6 +139,19 @@ class FittedRows:
         covariance[np.arange(len(rows)), rows] += self.problem.noise.variance[some]
         return covariance
 
+    def feigned_by_each(self, some: slice | NDArray[np.intp]) -> Array:
+        """Return (b, n) alpha_i (A' S^-1 A)_ij V_ij of some actuators i."""
+        gram = self.white_arms[:, some].T @ self.white_arms
+        return np.asarray(self.alpha[some, None] * gram * self.noise_covariance(some))
+
+    @cached_property
+    def feigned_by_all(self) -> Array:
+        """(n,) the same summed over i: of matrices of rank 3, but for a diagonal."""
+        white, taken = self.white_arms, self.taken
+        both = (self.alpha * white) @ taken.T
+        each = self.alpha * np.sum(white**2, axis=0) * self.problem.noise.variance
+        return np.asarray(each - np.sum(white * (both @ taken), axis=0))
+
     @cached_property
     def free(self) -> int:
         """How many unknowns are free."""
@@ -248,6 +261,9 @@ class Derivative:
         nothing.
     actuators
         Whose the parameters are, over and over; None where of all, or of none.
+    direction
+        (n,) of (K, n) parameters of each actuator, along which they do nothing; readings without a
+        gain alone may have one.
     """
 
     count: int
@@ -258,6 +274,14 @@ class Derivative:
     information: Array | float = 0.0
     feigns: Callable[[], tuple[Array, Array | float]] | None = None
     actuators: NDArray[np.intp] | None = None
+    direction: Array | None = None
+
+
+def without_direction(values: Array, direction: Array) -> Array:
+    """Return (..., K n) values of parameters of each actuator without those along (n,) sizes."""
+    unit = direction / np.linalg.norm(direction)
+    each = values.reshape(*values.shape[:-1], -1, len(unit))
+    return np.asarray((each - (each @ unit)[..., None] * unit).reshape(values.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,8 +357,11 @@ def scored(fit: FittedRows, derivative: Derivative) -> Scored:
     feigned, feigned_information = derivative.feigns() if derivative.feigns else (None, 0.0)
     if feigned is not None:
         told[:, : fit.problem.n] -= feigned  # M_te - D_te
-    half = fit.half_solved(told)
-    return Scored(fit, score + derivative.score, joint, half, feigned, feigned_information)
+    score = score + derivative.score
+    if derivative.direction is not None:
+        left = partial(without_direction, direction=derivative.direction)
+        score, joint, told = left(score), left(left(joint).T), left(told.T).T
+    return Scored(fit, score, joint, fit.half_solved(told), feigned, feigned_information)
 
 
 def _from_balance(fit: FittedRows, derivative: Derivative) -> tuple[Array, Array, Array]:
@@ -375,7 +402,7 @@ def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, A
     structure tells nothing V itself, a few actuators at a time. None where neither is to be had.
     """
     of_each = derivative.of_each
-    if of_each is None:
+    if of_each is None or derivative.direction is not None:
         return None
     if of_each.parts is not None:
         diagonals = [np.diag(scored(fit, part).variance) for part in of_each.parts()]
@@ -390,28 +417,4 @@ def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, A
         of_each.score + derivative.score,
         whole,
         told - 2 * NEGLIGIBLE_NOISE_SHARE * of_each.whole,
-    )
-
-
-def without_direction(derivative: Derivative, direction: Array) -> Derivative:
-    """Return an effect whose (K, n) parameters do nothing along one (n,) direction."""
-    of_each = derivative.of_each
-    assert of_each is not None
-    n, unit = len(direction), direction / np.linalg.norm(direction)
-
-    def left(values: Array) -> Array:
-        each = values.reshape(*values.shape[:-1], -1, n)
-        return np.asarray((each - (each @ unit)[..., None] * unit).reshape(values.shape))
-
-    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return derivative.remove(problem, before, left(theta))
-
-    return Derivative(
-        derivative.count,
-        remove,
-        jacobian=left(of_each.arms * of_each.rows()[:, None]),
-        score=left(np.zeros(derivative.count) + derivative.score),
-        information=left(
-            left(np.zeros((derivative.count,) * 2) + _of_all(derivative.information)).T
-        ),
     )

@@ -21,7 +21,7 @@ from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chi2_cdf, chi2_sf, f_sf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.effects.catalogue import LOAD_REPOSITIONED, ZEROS_OF_EACH
-from truenewton.estimation.effects.correction import Correction, correction
+from truenewton.estimation.effects.correction import Correction, correction, with_error
 from truenewton.estimation.effects.derivative import FittedRows
 from truenewton.estimation.effects.score_test import (
     EffectTest,
@@ -334,11 +334,8 @@ def _correlated(start: ExaminedFit, effects: tuple[Finding, ...]) -> ExaminedFit
 
 def _unsure(best: ExaminedFit, named_first: ExaminedFit) -> Minimum:
     """Return the minimum, less sure by what it would move if the effect named were taken out."""
-    t = min(len(best.minimum.reading_covariance), len(named_first.minimum.values))
-    moved = (named_first.minimum.values - best.minimum.values)[:t]
-    covariance = best.minimum.reading_covariance.copy()
-    covariance[:t, :t] += np.outer(moved, moved)
-    return replace(best.minimum, reading_covariance=covariance)
+    moved = named_first.minimum.values - best.minimum.values
+    return with_error(best.minimum, moved[None], np.eye(1))
 
 
 def _alike(found: list[EffectTest]) -> list[EffectTest]:

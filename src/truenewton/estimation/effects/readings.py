@@ -22,7 +22,12 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, chi2_sf
-from truenewton.estimation.effects.derivative import Derivative, FittedRows, OfEach
+from truenewton.estimation.effects.derivative import (
+    Derivative,
+    FittedRows,
+    OfEach,
+    without_direction,
+)
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
 
@@ -53,11 +58,8 @@ def always(moments: Moments) -> RowFunctions:
 
 def row_functions(moments: Moments, of_groups: Array) -> RowFunctions:
     """Return those by which rows of one group differ, then (K, g) that groups have as a whole."""
-    within, whole = moments.within, of_groups * moments.weight
-    if within is None:
-        return RowFunctions(whole)
-    first = within.first * (moments.weight > 0)
-    return RowFunctions(np.vstack([first, whole]), len(first))
+    first = moments.within.first * (moments.weight > 0)
+    return RowFunctions(np.vstack([first, of_groups * moments.weight]), len(first))
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class OnReadings:
     each_score, each_information
         (k, n) and (k, k, n) of each actuator.
     each_square, each_pull
-        (k, n) sums over the R rows of the square of U' r h e, and (3, k, n) of the same times
+        (k, k, n) sums over the R rows of products of U' r h e, and (3, k, n) of the same times
         S^-1/2 rho.
     """
 
@@ -132,8 +134,7 @@ def on_readings(
 
     Between groups e is taken at the fit; within them, where a gain changes, it is -c_mean.
     """
-    moments, n, first = fit.moments, fit.problem.n, functions.first
-    within = moments.within if functions.within else None
+    moments, n, first, within = fit.moments, fit.problem.n, functions.first, fit.moments.within
     g, mean = first.shape[1], means(moments, functions)
     # Of several files they are often the same: then all groups of a load have rows of each.
     kinds: dict[bytes, int] = {}
@@ -142,8 +143,8 @@ def on_readings(
     k = each.stop - each.start
     told, square, own_square, pulled = np.zeros(g), np.zeros(g), np.zeros(g), np.zeros((g, 3))
     between = np.zeros((len(kinds), len(kinds)))
-    each_score, each_square = np.zeros((2, k, n))
-    each_information, each_pull = np.zeros((k, k, n)), np.zeros((3, k, n))
+    each_score, each_pull = np.zeros((k, n)), np.zeros((3, k, n))
+    each_information, each_square = np.zeros((2, k, k, n))
     white_rho, weights = fit.white_rho.reshape(-1, 3), 1.0 / fit.problem.noise.variance
     for some in blocks_of_actuators(fit):
         e = field.values(fit, some)
@@ -165,27 +166,27 @@ def on_readings(
         between += (rows * weigh).reshape(flat) @ rows.reshape(flat).T
         if k:
             mine = rows[kind[each]]
-            each_square[:, some] = np.sum(mine**2, axis=1)
+            each_square[:, :, some] = np.einsum("krb,lrb->klb", mine, mine)
             each_pull[:, :, some] = np.moveaxis(white_rho.T @ mine, 1, 0)
         if not fit.independent:
             continue
         e_squared = np.square(e, out=e)
         square += e_squared @ weigh
-        own = None if within is None else field.own(within, some) ** 2
+        own = field.own(within, some) ** 2 if functions.within else None
         if own is not None:
             own_square += own @ weigh
         if k:
             spread = np.stack([(mean[each] * h) @ e_squared for h in first[each]])
             if own is not None:
                 spread += _apart(moments, functions, each, own)
-            spread -= np.einsum("krb,lrb->klb", mine, mine)
             each_information[:, :, some] = spread
     noise = fit.problem.noise.variance
     score, information = np.zeros(len(first)), np.zeros((len(first),) * 2)
     if fit.independent:
+        each_information -= each_square
         score -= first @ told
         information += (mean * square) @ first.T - between[kind][:, kind]
-        if within is not None:
+        if functions.within:
             every = slice(0, len(first))
             information += _apart(moments, functions, every, own_square[:, None])[:, :, 0]
             sums = field.sums(within)
@@ -218,8 +219,6 @@ def _apart(moments: Moments, functions: RowFunctions, chosen: slice, own: Array)
     """
     k, within = chosen.stop - chosen.start, moments.within
     apart = np.zeros((k, k, own.shape[1]))
-    if within is None:
-        return apart
     some = slice(chosen.start, min(chosen.stop, functions.within))
     mean, counted = means(moments, functions)[some], moments.weight > 0
     for row, at in enumerate(range(some.start, some.stop)):
@@ -228,75 +227,104 @@ def _apart(moments: Moments, functions: RowFunctions, chosen: slice, own: Array)
     return apart
 
 
-def of_each(fit: FittedRows, effect: OnReadings, chosen: slice) -> Derivative:
-    """Return the derivative of an effect with parameters of each actuator, in the order (K, n).
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """What sizes of an effect on readings its parameters theta are: (K, n) mix theta.
 
-    ``chosen`` are its functions.
-    """
-    n, k, pull = fit.problem.n, chosen.stop - chosen.start, fit.root @ fit.scaled_arms
-    here = slice(chosen.start - effect.each.start, chosen.stop - effect.each.start)
-
-    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return problem, without(fit, before, effect, chosen, theta.reshape(k, n))
-
-    def feigns() -> tuple[Array, float]:
-        gram = fit.white_arms.T @ fit.white_arms
-        each = fit.alpha[:, None] * gram * fit.noise_covariance()
-        return np.concatenate([one * each for one in traces(fit, effect)[chosen]]), 0.0
-
-    def rows() -> Array:
-        pooling, values = fit.moments.pooling, effect.field.values(fit, slice(None))
-        made = np.empty((len(fit.fitted_rows), k, n))
-        for index, h in enumerate(means(fit.moments, effect.functions)[chosen]):
-            made[:, index] = pooling.weighed(h) @ values
-        return made.reshape(-1, k * n)
-
-    return Derivative(
-        k * n,
-        remove,
-        of_each=OfEach(
-            arms=-np.tile(fit.scaled_arms, k),
-            rows=rows,
-            score=-np.sum(pull[:, None] * effect.each_pull[:, here], axis=0).ravel(),
-            whole=(np.sum(pull**2, axis=0) * effect.each_square[here]).ravel(),
-        ),
-        score=effect.each_score[here].ravel(),
-        information=effect.each_information[here, here],
-        feigns=feigns if effect.field.gain else None,
-    )
-
-
-def of_all(fit: FittedRows, effect: OnReadings, chosen: slice) -> Derivative:
-    """Return the derivative of an effect whose parameters all actuators share.
-
-    ``chosen`` are its functions.
+    Attributes
+    ----------
+    functions
+        Those of its functions that have sizes.
+    each
+        Whether each actuator has sizes of its own, theta (K, n); else all share them, theta (K, 1).
+    mix
+        (K, K), as of `from_mean`; the identity if None.
+    actuators
+        Indices of the only ones that have sizes, if each has its own; None for all.
+    direction
+        (n,) sizes of each along which nothing happens, if there is such a one.
     """
 
+    functions: slice
+    each: bool = False
+    mix: Array | None = None
+    actuators: NDArray[np.intp] | None = None
+    direction: Array | None = None
+
+
+def from_mean(weight: Array) -> Array:
+    """Return (K, K) mix of sizes that count from their mean, of (K,) weights.
+
+    So alpha stays that of the whole campaign, and none of its error is that of the mean.
+    """
+    k = len(weight)
+    return np.asarray(np.eye(k) - np.outer(np.ones(k), weight / weight.sum()))
+
+
+def derivative_of(fit: FittedRows, effect: OnReadings, sizes: Sizes) -> Derivative:
+    """Return the derivative of an effect on readings by its sizes, in the order (K, actuators)."""
+    chosen, n = sizes.functions, fit.problem.n
+    k = chosen.stop - chosen.start
+    mix = np.eye(k) if sizes.mix is None else sizes.mix
+    some = slice(None) if sizes.actuators is None else sizes.actuators
+    trace = mix.T @ effect.functions.first[chosen] @ fit.moments.pooling.squared_lengths
+
     def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        size = np.repeat(theta[:, None], fit.problem.n, axis=1)
+        if sizes.direction is not None:
+            theta = without_direction(theta, sizes.direction)
+        size = np.zeros((k, n))
+        size[:, some] = mix @ theta.reshape(k, -1)
         return problem, without(fit, before, effect, chosen, size)
 
     def feigns() -> tuple[Array, float]:
-        # The sum over i of alpha_i (A' S^-1 A)_ij V_ij, both of rank 3 but for a diagonal.
-        white, taken = fit.white_arms, fit.taken
-        both = (fit.alpha * white) @ taken.T
-        each = fit.alpha * np.sum(white**2, axis=0) * fit.problem.noise.variance
-        each -= np.sum(white * (both @ taken), axis=0)
-        return np.outer(traces(fit, effect)[chosen], each), 0.0
+        if not sizes.each:
+            return np.outer(trace, fit.feigned_by_all), 0.0
+        return (trace[:, None, None] * fit.feigned_by_each(some)).reshape(-1, n), 0.0
+
+    feigned = feigns if effect.field.gain else None
+    if not sizes.each:
+        return Derivative(
+            k,
+            remove,
+            jacobian=effect.jacobian[:, :, chosen] @ mix,
+            score=mix.T @ effect.score[chosen],
+            information=mix.T @ effect.information[chosen, chosen] @ mix,
+            feigns=feigned,
+        )
+    here = slice(chosen.start - effect.each.start, chosen.stop - effect.each.start)
+    arms = fit.scaled_arms[:, some]
+    pulled = fit.root @ arms
+    pull = mix.T @ effect.each_pull[:, here][:, :, some]
+    square = np.einsum("kkn->kn", mixed(mix, effect.each_square[here, here][:, :, some]))
+
+    def rows() -> Array:
+        h = mix.T @ means(fit.moments, effect.functions)[chosen]
+        values = effect.field.values(fit, slice(None))[:, some]
+        made = np.empty((len(fit.fitted_rows), k, arms.shape[1]))
+        for index, one in enumerate(h):
+            made[:, index] = fit.moments.pooling.weighed(one) @ values
+        return made.reshape(len(made), -1)
 
     return Derivative(
-        chosen.stop - chosen.start,
+        k * arms.shape[1],
         remove,
-        jacobian=effect.jacobian[:, :, chosen],
-        score=effect.score[chosen],
-        information=effect.information[chosen, chosen],
-        feigns=feigns if effect.field.gain else None,
+        of_each=OfEach(
+            arms=-np.tile(arms, k),
+            rows=rows,
+            score=-np.sum(pulled[:, None] * pull, axis=0).ravel(),
+            whole=(np.sum(pulled**2, axis=0) * square).ravel(),
+        ),
+        score=(mix.T @ effect.each_score[here])[:, some].ravel(),
+        information=mixed(mix, effect.each_information[here, here])[:, :, some],
+        feigns=feigned,
+        actuators=sizes.actuators,
+        direction=sizes.direction,
     )
 
 
-def traces(fit: FittedRows, effect: OnReadings) -> Array:
-    """Return (K,) trace of U' r h U."""
-    return np.asarray(effect.functions.first @ fit.moments.pooling.squared_lengths)
+def mixed(mix: Array, values: Array) -> Array:
+    """Return (K, K, n) mix' v mix of values v of each actuator."""
+    return np.asarray(np.einsum("kl,kmn,mo->lon", mix, values, mix, optimize=True))
 
 
 def without(
@@ -306,7 +334,7 @@ def without(
     functions, field, counted = effect.functions, effect.field, moments.weight > 0
     shift = means(moments, functions)[chosen].T @ size
     mean, within = moments.mean - shift * field.values(fit, slice(None)), moments.within
-    if chosen.start >= functions.within or within is None:
+    if chosen.start >= functions.within:
         return replace(moments, mean=mean)
     own, sums = field.own(within), field.sums(within)
     sizes = np.zeros((len(within.first), size.shape[1]))
@@ -324,102 +352,23 @@ def without(
 
 
 CHANCE_OF_ANY_ACTUATOR = 1e-2 * OF_EACH_KIND  # that any actuator of a sound mirror is chosen
-MAX_AFFECTED_FRACTION = 0.1  # of the actuators: beyond it is no matter of single ones
 MIN_DIRECTION_INFORMATION = 1e-4  # of the largest information: directions that the data hold
 
 
-def of_single(
-    fit: FittedRows, effect: OnReadings, chosen: slice, weight: Array
-) -> Derivative | None:
-    """Return the derivative of an effect with parameters of the actuators that stand out alone.
-
-    In the order (K, actuators), of some functions, which count from their mean (`about_mean`); None
-    where there is no such actuator, or many.
-    """
-    n, left = fit.problem.n, _from_mean(weight)
-    here = slice(chosen.start - effect.each.start, chosen.stop - effect.each.start)
-    score = left.T @ effect.each_score[here]
-    information = np.einsum("kl,kmn->lmn", left, effect.each_information[here, here], optimize=True)
-    information = np.einsum("lmn,mo->lon", information, left, optimize=True)
-    affected = fit.affected
-    if affected is None:
-        affected = standing_out(score, information)
-        if not 0 < affected.size <= max(1, MAX_AFFECTED_FRACTION * n):
-            return None
-    k, some = len(weight), affected
-    h = left.T @ means(fit.moments, effect.functions)[chosen]
-    values = effect.field.values(fit, slice(None))[:, some]
-    rows = np.stack([fit.moments.pooling.weighed(one) @ values for one in h], axis=1)
-    arms = fit.scaled_arms[:, some]
-    pulled = fit.root @ arms
-    pull = np.einsum("ra,rkc->akc", fit.white_rho.reshape(-1, 3), rows, optimize=True)
-
-    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        size = np.zeros((k, n))
-        size[:, some] = left @ theta.reshape(k, -1)
-        return problem, without(fit, before, effect, chosen, size)
-
-    def feigns() -> tuple[Array, float]:
-        gram = fit.white_arms[:, some].T @ fit.white_arms
-        each = fit.alpha[some, None] * gram * fit.noise_covariance(some)
-        trace = left.T @ traces(fit, effect)[chosen]
-        return (trace[:, None, None] * each).reshape(-1, n), 0.0
-
-    return Derivative(
-        k * some.size,
-        remove,
-        of_each=OfEach(
-            arms=-np.tile(arms, k),
-            rows=lambda: rows.reshape(len(rows), -1),
-            score=-np.sum(pulled[:, None] * pull, axis=0).ravel(),
-            whole=(np.sum(pulled**2, axis=0) * np.sum(rows**2, axis=0)).ravel(),
-        ),
-        score=score[:, some].ravel(),
-        information=information[:, :, some],
-        feigns=feigns if effect.field.gain else None,
-        actuators=some,
-    )
-
-
-def standing_out(score: Array, information: Array) -> NDArray[np.intp]:
-    """Return the actuators whose (K, n) scores, of (K, K, n) information, chance does not make."""
-    if not information.any():
-        return np.empty(0, dtype=np.intp)
+def chi2_of_each(score: Array, information: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return (n,) chi^2 of (K, n) scores of (K, K, n) information, and their freedom."""
     values, vectors = np.linalg.eigh(np.moveaxis(information, 2, 0))
     held = values > MIN_DIRECTION_INFORMATION * values.max()
     along = np.einsum("nab,an->nb", vectors, score)
-    chi2 = np.sum(np.where(held, along**2 / np.where(held, values, 1.0), 0.0), axis=1)
-    chance = chi2_sf(chi2, np.count_nonzero(held, axis=1))
-    return np.flatnonzero(chance < CHANCE_OF_ANY_ACTUATOR / score.shape[1])
+    each = np.where(held, along**2 / np.where(held, values, 1.0), 0.0)
+    return np.sum(each, axis=1), np.count_nonzero(held, axis=1)
 
 
-def about_mean(derivative: Derivative, weight: Array) -> Derivative:
-    """Return an effect of all actuators whose (K,) parameters count from their weighed mean.
-
-    So alpha stays that of the whole campaign, and none of its error is that of the mean.
-    """
-    left, feigns = _from_mean(weight), derivative.feigns
-    assert derivative.jacobian is not None
-
-    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return derivative.remove(problem, before, left @ theta)
-
-    def turned() -> tuple[Array, Array | float]:
-        assert feigns is not None
-        on_alpha, own = feigns()
-        return left.T @ on_alpha, own
-
-    return Derivative(
-        derivative.count,
-        remove,
-        jacobian=derivative.jacobian @ left,
-        score=left.T @ derivative.score,
-        information=left.T @ derivative.information @ left,
-        feigns=turned if feigns else None,
-    )
-
-
-def _from_mean(weight: Array) -> Array:
-    """Return (K, K) of sizes less their mean, of (K,) weights."""
-    k = len(weight)
-    return np.asarray(np.eye(k) - np.outer(np.ones(k), weight / weight.sum()))
+def standing_out(effect: OnReadings, chosen: slice, mix: Array) -> NDArray[np.intp]:
+    """Return whose scores chance does not make, of some functions with a (K, K) mix of sizes."""
+    here = slice(chosen.start - effect.each.start, chosen.stop - effect.each.start)
+    information = mixed(mix, effect.each_information[here, here])
+    if not information.any():
+        return np.empty(0, dtype=np.intp)
+    chance = chi2_sf(*chi2_of_each(mix.T @ effect.each_score[here], information))
+    return np.flatnonzero(chance < CHANCE_OF_ANY_ACTUATOR / len(chance))

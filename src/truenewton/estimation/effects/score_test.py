@@ -43,6 +43,7 @@ from truenewton.estimation.effects.derivative import (
     scored,
     variance_at_least,
 )
+from truenewton.estimation.effects.readings import chi2_of_each
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.screening.noise import independent_readings
@@ -165,12 +166,8 @@ def _tested_by_structure(effect: Effect, derivative: Derivative) -> EffectTest |
     information, score = derivative.information, derivative.score
     if isinstance(information, float) or isinstance(score, float) or not information.any():
         return None
-    blocks = np.moveaxis(information, 2, 0)
-    values, vectors = np.linalg.eigh(blocks)
-    held = values > 1e2 * MIN_INFORMATION_SHARE * values.max()
-    along = np.einsum("nab,an->nb", vectors, score.reshape(information.shape[1:]))
-    statistic = float(np.sum(along[held] ** 2 / values[held]))
-    freedom = float(np.count_nonzero(held))
+    chi2, held = chi2_of_each(score.reshape(information.shape[1:]), information)
+    statistic, freedom = float(chi2.sum()), float(held.sum())
     return EffectTest(effect, derivative, statistic, freedom, log_chance(statistic, freedom))
 
 

@@ -15,7 +15,7 @@ Magnets whose positions have a declared uncertainty (columns E_X and E_Y).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -33,9 +33,9 @@ from truenewton.estimation.effects.examination import ExaminedFit
 from truenewton.estimation.effects.readings import (
     Field,
     RowFunctions,
+    Sizes,
     always,
-    of_all,
-    of_each,
+    derivative_of,
     on_readings,
 )
 from truenewton.estimation.findings.code import Code
@@ -45,9 +45,8 @@ from truenewton.estimation.likelihood.minimum import Minimum
 from truenewton.records.campaign import load_temperatures
 from truenewton.statics.layout import Layout
 
-MAX_ACTUATORS_BY_COIL = (
-    2000  # whose coils are judged each by itself: beyond, there is no room for it
-)
+# Whose coils are judged each by itself: beyond, there is no room for it.
+MAX_ACTUATORS_BY_COIL = 2000
 MIN_REMAINING_SIZE = 0.1  # of the usual size: what is left of an effect that the data tell
 
 
@@ -80,7 +79,8 @@ def static_gain(fit: FittedRows) -> Derivative | None:
         return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
 
     field = Field("elastic", elastic)
-    return of_each(fit, on_readings(fit, always(moments), field, FIRST_FUNCTION), FIRST_FUNCTION)
+    effect = on_readings(fit, always(moments), field, FIRST_FUNCTION)
+    return derivative_of(fit, effect, Sizes(FIRST_FUNCTION, each=True))
 
 
 def borne(fit: FittedRows) -> Derivative:
@@ -108,11 +108,8 @@ def with_magnets_unsure(left: ExaminedFit) -> Minimum:
     derivative = warmer_magnets(fit) if lost else None
     if derivative is None:
         return minimum
-    moves = scored(fit, derivative).moves
-    t = min(len(minimum.reading_covariance), moves.shape[1])
-    covariance = minimum.reading_covariance.copy()
-    covariance[:t, :t] += (lost[0] / MAGNET_COEFFICIENT) ** 2 * moves[:, :t].T @ moves[:, :t]
-    return replace(minimum, reading_covariance=covariance)
+    warmer = (lost[0] / MAGNET_COEFFICIENT) ** 2 * np.eye(derivative.count)
+    return with_error(minimum, scored(fit, derivative).moves, warmer)
 
 
 def zero_by_load(fit: FittedRows) -> Derivative:
@@ -120,7 +117,7 @@ def zero_by_load(fit: FittedRows) -> Derivative:
     size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
     rows = RowFunctions((fit.moments.of_load * fit.moments.weight[:, None]).T[1:])
     field = Field("zero", lambda at, _: np.full((len(at.moments.mean), 1), size))
-    return of_all(fit, on_readings(fit, rows, field), slice(0, len(rows.first)))
+    return derivative_of(fit, on_readings(fit, rows, field), Sizes(slice(0, len(rows.first))))
 
 
 def _up(fit: FittedRows) -> Array:
@@ -189,6 +186,5 @@ def with_positions_unsure(left: ExaminedFit) -> Minimum:
     for part in parts_of_positions(fit):  # what all of them move does not fit into one array
         those = errors[:, first : first + part.count // 2]
         first += part.count // 2
-        at = replace(fit, minimum=minimum)
-        minimum = with_error(at, scored(fit, part).moves, np.diag(those.ravel() ** 2))
+        minimum = with_error(minimum, scored(fit, part).moves, np.diag(those.ravel() ** 2))
     return minimum

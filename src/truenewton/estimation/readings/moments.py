@@ -254,12 +254,12 @@ class Moments:
         (n,) weighted sum of squared deviations of rows from their group's mean [N^2].
     reference
         (n,) readings from which displacements count [m]; NaN where from the mean of each cycle.
+    within
+        How rows of one group differ by file and by hour.
     pooled
         Whether shapes repeat over loads and signs as well (`pooling`).
     displacement
         (g, n) mean displacement of each sensor [m]; None without POSITION.
-    within
-        How rows of one group differ by file and by hour; None of merged moments.
     step
         (n,) of which readings are multiples [N], 0 where they are of none.
     """
@@ -272,9 +272,9 @@ class Moments:
     known: Array
     scatter: Array
     reference: Array
+    within: WithinGroups
     pooled: bool = False
     displacement: Array | None = None
-    within: WithinGroups | None = None
     step: Array | float = 0.0
 
     @property
