@@ -138,6 +138,12 @@ def _without_numbers(one: Finding | None) -> Hashable:
     return *about, words, _without_numbers(one.cause)
 
 
+def refusal_of(level: Level, fault: str, remedy: str, path: object = None) -> NotToBeUsed:
+    """Return the refusal of a result that is used only if forced."""
+    remedy = f"{remedy}; {REGARDLESS}".lstrip("; ")
+    return NotToBeUsed(f"{level}: {fault}", remedy=remedy, path=path)
+
+
 def refuse_unusable(calibration: AnyCalibration, *, force: bool, path: object = None) -> None:
     """Raise `NotToBeUsed` where a calibration is rejected, unless forced.
 
@@ -148,8 +154,7 @@ def refuse_unusable(calibration: AnyCalibration, *, force: bool, path: object = 
     verdict = calibration.verdict
     if verdict.level <= Level.REJECTED and not force:
         first = verdict.faults[0]
-        remedy = f"{first.remedy}; {REGARDLESS}"
-        raise NotToBeUsed(f"{verdict.level}: {first.fault}", remedy=remedy.lstrip("; "), path=path)
+        raise refusal_of(verdict.level, first.fault, first.remedy, path)
 
 
 def without_unusable(c: Parts[Calibration]) -> Parts[Calibration]:

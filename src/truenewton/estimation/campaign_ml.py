@@ -1,7 +1,5 @@
 """Maximum likelihood on a campaign, and the patterns of alpha that noise decides.
 
-Undetermined patterns of alpha, which noise decides: which they are, and their error.
-
 Where noise alone makes as much imbalance as a pattern of alpha would, the data say nothing of that
 pattern (docs/likelihood.md). It is held at zero, so that alpha stays even over the mirror, and its
 error is taken to be, root mean square over the actuators, all that alpha is seen to vary by.
@@ -29,7 +27,6 @@ from truenewton.estimation.effects.examination import (
     warmer_loads,
 )
 from truenewton.estimation.effects.undetectable import (
-    positions_are_unsure,
     unseen_errors,
     with_magnets_unsure,
     with_positions_unsure,
@@ -83,9 +80,8 @@ from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
-HELD_INFORMATION = (
-    1e10  # information on a pattern held at zero: it is known to 1e-5, for the time being
-)
+# Information on a pattern held at zero: it is known to 1e-5, for the time being.
+HELD_INFORMATION = 1e10
 
 
 def undetermined_patterns(problem: Problem, moments: Moments, count: int) -> Array:
@@ -124,9 +120,6 @@ def tolerable(judged: Diagnosis, n: int) -> bool:
     return 3 * judged.span >= n - 1 and 10 * judged.undetermined <= n
 
 
-LINEAR_STEPS = 3  # steps after which a population's pull, linear in each, has settled
-
-
 def find(screened: ScreenedCampaign, population: bool = False) -> Estimate:
     """Find the likeliest alpha of a campaign, outliers left out; no row is read.
 
@@ -153,7 +146,11 @@ def find(screened: ScreenedCampaign, population: bool = False) -> Estimate:
         free = with_share_in_balance(free, screened, minimum.values[: free.n])
         if free.dependent:
             belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
-    balances = bool(belongs.all()) and _balances(problem, moments, minimum)
+    balances = (
+        bool(belongs.all())
+        and problem.noise.source != NoiseSource.MINIMUM
+        and ExaminedFit(problem, moments, minimum).probability > MIN_FIT_PROBABILITY
+    )
     if not balances:
         suspects = suspects.where_nothing_balances(free, moments)
     wrong = not (balances or suspects.actuators) and bool(suspects.columns)
@@ -165,7 +162,8 @@ def find(screened: ScreenedCampaign, population: bool = False) -> Estimate:
         method = "ml"
         if population:
             left, method = _of_population(left, free.prior)
-        estimate = _judged(method, left, (*screened.rejected, *lost), patterns.shape[1])
+        rejected, fitted = (*screened.rejected, *lost), (left.problem, left.moments, left.minimum)
+        estimate = estimate_of(method, *fitted, rejected, patterns.shape[1], left.freedom)
         if estimate.diagnosis.undetermined:
             diagnosis = diagnose(sound, moments)
             if 3 * diagnosis.span < problem.n - 1:  # not even without noise
@@ -208,8 +206,7 @@ def _examined(
     )
     left = replace(left, minimum=with_magnets_unsure(left))
     unseen = unseen_errors(left)
-    if positions_are_unsure(screened.sound.layout):
-        left = replace(left, minimum=with_positions_unsure(left))
+    left = replace(left, minimum=with_positions_unsure(left))
     return left if left.fits or left.explained else _less_sure(left), unseen
 
 
@@ -224,7 +221,7 @@ def _of_population(left: ExaminedFit, prior: Prior) -> tuple[ExaminedFit, str]:
     n, problem, minimum = left.problem.n, left.problem, left.minimum
     alpha, smooth = minimum.values[:n], smooth_patterns(problem.a)
     spread = likeliest_spread(smooth, alpha, minimum.reading_covariance[:n, :n])
-    for _ in range(LINEAR_STEPS):
+    for _ in range(3):  # until the pull of the population, linear in each, has settled
         problem = replace(problem, prior=with_population(prior, smooth, alpha, spread))
         minimum = problem.fitted(left.moments, minimum.values)
         alpha = minimum.values[:n]
@@ -232,22 +229,6 @@ def _of_population(left: ExaminedFit, prior: Prior) -> tuple[ExaminedFit, str]:
         covariance = left.excess * minimum.reading_covariance
         minimum = replace(minimum, reading_covariance=covariance)
     return replace(left, problem=problem, minimum=minimum), f"ml, population {spread:.2g}"
-
-
-def _judged(
-    method: str, left: ExaminedFit, rejected: tuple[RejectedRow, ...], held: int
-) -> Estimate:
-    problem, moments = left.problem, left.moments
-    freedom = problem.degrees_of_freedom(moments) - left.effective_parameters
-    return estimate_of(method, problem, moments, left.minimum, rejected, held, freedom)
-
-
-def _balances(problem: Problem, moments: Moments, minimum: Minimum) -> bool:
-    """Tell whether the balance of a fit is as good as the noise lets expect."""
-    if problem.noise.source == NoiseSource.MINIMUM:
-        return False
-    freedom = problem.degrees_of_freedom(moments)
-    return chi2_probability(minimum.chi2, freedom, problem.noise) > MIN_FIT_PROBABILITY
 
 
 def _fitted(

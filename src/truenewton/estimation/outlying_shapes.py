@@ -32,7 +32,6 @@ from truenewton.records.campaign import Campaign
 CORE_FRACTION = 0.75  # of the shapes that make the robust start
 START_DEVIATIONS = 10.0  # median deviations, 6.7 sigma: for a start only
 MAX_OUTLYING_FRACTION = 0.12  # of the groups may be accidents
-MAX_OUTLIER_PASSES = 20  # until the groups that belong are settled
 
 
 Fitted = tuple[Problem, Minimum]
@@ -104,7 +103,7 @@ def _within(
         fitted, distance = _fitted(problem, chosen_groups(moments, belongs), moments)
         if np.median(fitted[1].values[: problem.n]) <= 0.0 < whole:
             raise NotConverged("too few shapes agree", remedy="look at `truenewton info`")
-        if passes == MAX_OUTLIER_PASSES or np.array_equal(distance <= limit, belongs):
+        if passes == 20 or np.array_equal(distance <= limit, belongs):
             return belongs, distance, fitted
         belongs, passes = distance <= limit, passes + 1
         del fitted

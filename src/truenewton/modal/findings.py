@@ -30,9 +30,9 @@ from truenewton.calibration.methods import (
     seen_of,
 )
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
+from truenewton.calibration.verdict import refusal_of, refuse_unusable
 from truenewton.calibration.workers import executor_for
-from truenewton.errors import CampaignMismatch, Fault, NotToBeUsed, RankDeficient, UnknownName
+from truenewton.errors import CampaignMismatch, Fault, RankDeficient, UnknownName
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
@@ -510,9 +510,10 @@ def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:
     elastic = modes.stiffness[3:]
     negative = int(np.count_nonzero(elastic < 0.0))
     if 2 * negative > elastic.size and not force:
-        raise NotToBeUsed(
-            f"{Level.REJECTED}: {negative} of {elastic.size} elastic modes are negative",
-            remedy=f"reverse the sign of STIFFNESS, or of POSITION in cycles; {REGARDLESS}",
+        raise refusal_of(
+            Level.REJECTED,
+            f"{negative} of {elastic.size} elastic modes are negative",
+            "reverse the sign of STIFFNESS, or of POSITION in cycles",
         )
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.verdict import REGARDLESS, Verdict, judged, refuse_unusable
+from truenewton.calibration.verdict import Verdict, judged, refusal_of, refuse_unusable
 from truenewton.calibration.written import CALIBRATIONS
-from truenewton.errors import FormatError, NotToBeUsed
+from truenewton.errors import FormatError
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import ErrorKind, ErrorSource, Scale
 from truenewton.estimation.findings.finding import Finding
@@ -199,8 +199,7 @@ def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
     verdict = judged([Finding.of(Code.LAW_OF_REJECTED_DAY, day=day) for day in days[:1]])
     if days and not force:
         fault = verdict.faults[0]
-        remedy = f"{fault.remedy}; {REGARDLESS}"
-        raise NotToBeUsed(f"{verdict.level}: {fault.fault}", remedy=remedy, path=path)
+        raise refusal_of(verdict.level, fault.fault, fault.remedy, path)
     return verdict
 
 

@@ -25,7 +25,6 @@ from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import reading_noise
 
-MAX_CORRECTION_STEPS = 30
 MAX_CORRECTED_PARAMETERS = 10_000  # a matrix of which takes 0.8 GB, and there are some of them
 SETTLED_SQUARED_STEP = 1e-4  # squared step in standard errors at which theta has settled
 
@@ -60,7 +59,7 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     size = np.trace(result.variance) / np.sum(result.variance**2)
     tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
     at, derivative, settled = fit, first, False
-    for _ in range(MAX_CORRECTION_STEPS):
+    for _ in range(30):
         information = result.information + np.eye(len(theta)) / tau2
         try:  # in the units of theta: an effect of no size at all is none that settles
             factor = scipy.linalg.cho_factor(0.5 * (information + information.T))

@@ -1,6 +1,4 @@
-"""A fit, and what the score of an effect needs of it.
-
-What an effect is: how readings, the load or the arms change with it, and what follows of that.
+"""What an effect is: how readings, the load or the arms change with it, and what follows of that.
 
 With theta the parameters of an effect and g = dc/dtheta what it does to readings at fixed true
 forces, the balance of pooled rows (`pooling`) and what they leave of the means change by
@@ -204,11 +202,6 @@ class FittedRows:
         solve = scipy.linalg.solve_triangular
         return np.asarray(solve(self.information_factor, cross.T, lower=True, check_finite=False))
 
-    def solved_half(self, half: Array) -> Array:
-        """Return (k, free) cross H^-1 from the half of it."""
-        factor, solve = self.information_factor, scipy.linalg.solve_triangular
-        return np.asarray(solve(factor, half, lower=True, trans=1, check_finite=False).T)
-
 
 NEGLIGIBLE_NOISE_SHARE = 1e-3  # share of D in terms of H, below which it is not worth its products
 
@@ -319,7 +312,8 @@ class Scored:
     @cached_property
     def moves(self) -> Array:
         """(k, free) B."""
-        return self.fit.solved_half(self.half)
+        factor, solve = self.fit.information_factor, scipy.linalg.solve_triangular
+        return np.asarray(solve(factor, self.half, lower=True, trans=1, check_finite=False).T)
 
     def moves_along(self, direction: Array) -> Array:
         """Return (k,) B along one (n,) direction of alpha, without all of B."""

@@ -1,8 +1,4 @@
-"""What is left of data and their fit after effects were looked for, and how well it fits.
-
-What is left after effects were looked for, and what differs between loads.
-
-A fit examined: which effects the data show, which were taken out, and what is left.
+"""A fit examined: which effects the data show, which were taken out, and what is left.
 
 The likeliest effect is estimated together with alpha, then the catalogue tested again, four times
 at most. It is accepted only if it cures: the balance of the shapes and their repetition over loads
@@ -76,21 +72,19 @@ class ExaminedFit:
     explained: bool = False
 
     @property
+    def freedom(self) -> float:
+        """Degrees of freedom of the balance."""
+        return self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
+
+    @property
     def probability(self) -> float:
         """Chance of a larger chi^2 of the balance."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
-        return chi2_probability(self.minimum.chi2, freedom, self.problem.noise)
+        return chi2_probability(self.minimum.chi2, self.freedom, self.problem.noise)
 
     @property
     def too_well(self) -> bool:
         """Whether the shapes balance better than their noise lets expect."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
-        if freedom <= 0:
-            return False
-        return (
-            chi2_probability(self.minimum.chi2, freedom, self.problem.noise)
-            > 1.0 - MIN_FIT_PROBABILITY
-        )
+        return self.freedom > 0 and self.probability > 1.0 - MIN_FIT_PROBABILITY
 
     @property
     def fits(self) -> bool:
@@ -105,8 +99,7 @@ class ExaminedFit:
     @property
     def excess(self) -> float:
         """By how much the variance of what is left is larger than the noise says, if at all."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
-        balance = self.minimum.chi2 / max(freedom, 1.0)
+        balance = self.minimum.chi2 / max(self.freedom, 1.0)
         return max(1.0, balance, self.structure.reduced if self.structure else 1.0)
 
 
@@ -147,14 +140,11 @@ def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iter
 
 MAX_EFFECTS = 4  # effects at once
 MAX_UNKNOWN_FORCES = 2  # actuators at which forces come and go: three can make any imbalance
-SIZE_ROUNDS = 4  # for the size of each
-MAX_REDUCED_CHI2 = (
-    2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
-)
+# Chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave.
+MAX_REDUCED_CHI2 = 2.0
 MIN_SEEN_SPREAD = 0.5  # of tau^2: so much of a spread of zeros the data must show
-SIMILAR_LOG_PROBABILITY = (
-    0.85  # of the logarithm of the smallest probability: effects about as likely
-)
+# Of the logarithm of the smallest probability: effects about as likely.
+SIMILAR_LOG_PROBABILITY = 0.85
 
 
 def examined(
@@ -279,7 +269,7 @@ def _cured(
 def _with_unknown_forces(now: ExaminedFit) -> ExaminedFit | None:
     """Let forces come and go at some actuators until none stands out; None if little fits then."""
     found: dict[int, UnknownForce] = {}
-    for _ in range(MAX_UNKNOWN_FORCES * SIZE_ROUNDS):
+    for _ in range(4 * MAX_UNKNOWN_FORCES):  # four times for the size of each
         fit = FittedRows(now.problem, now.moments, now.minimum, independent=False)
         force = unknown_force(fit)
         if force is None:

@@ -31,8 +31,6 @@ from truenewton.estimation.effects.derivative import (
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
 
-BLOCK_VALUES = 2**17  # values of a field at a time, which stay in the cache
-
 
 @dataclass(frozen=True, eq=False)
 class RowFunctions:
@@ -202,7 +200,7 @@ def on_readings(
 
 def blocks_of_actuators(fit: FittedRows) -> Iterator[slice]:
     """Cut actuators into slices whose groups stay in the cache."""
-    step = max(1, BLOCK_VALUES // len(fit.moments.mean))
+    step = max(1, 2**17 // len(fit.moments.mean))
     for start in range(0, fit.problem.n, step):
         yield slice(start, min(start + step, fit.problem.n))
 

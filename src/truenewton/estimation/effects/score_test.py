@@ -49,9 +49,8 @@ from truenewton.estimation.problem import Problem
 from truenewton.estimation.screening.noise import independent_readings
 
 MAX_EXACT_PARAMETERS = 30  # parameters
-MAX_PARAMETERS_PER_ACTUATOR = (
-    2  # parameters of each actuator, beyond which the structure alone tells
-)
+# Parameters of each actuator, beyond which the structure alone tells.
+MAX_PARAMETERS_PER_ACTUATOR = 2
 MIN_INFORMATION_SHARE = 1e-6  # of the information that the data would hold, were all else known
 # The same where readings share noise: c^ is uncorrelated with rho only where that is no noise of
 # the readings, and what this adds to a score stands out in directions hardly seen.

@@ -7,15 +7,13 @@ and B as of any effect (`derivative`). What the data do tell of it leaves less o
 
     (B v)' C (B v),        C = (H_tt - H_te H^-1 H_et + 1 / s^2)^-1,
 
-and nothing worth a line where they tell it well, as three loads do.
-
-Magnets whose positions have a declared uncertainty (columns E_X and E_Y).
+and nothing worth a line where they tell it well, as three loads do. Magnets whose positions have a
+declared uncertainty (columns E_X and E_Y) add to the covariance in the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg
@@ -43,27 +41,10 @@ from truenewton.estimation.findings.estimate import UnseenError
 from truenewton.estimation.findings.scale_budget import MAGNET_COEFFICIENT, NEGLIGIBLE_SCALE_ERROR
 from truenewton.estimation.likelihood.minimum import Minimum
 from truenewton.records.campaign import load_temperatures
-from truenewton.statics.layout import Layout
 
 # Whose coils are judged each by itself: beyond, there is no room for it.
 MAX_ACTUATORS_BY_COIL = 2000
 MIN_REMAINING_SIZE = 0.1  # of the usual size: what is left of an effect that the data tell
-
-
-@dataclass(frozen=True)
-class Unseen:
-    """An effect that two loads do not show.
-
-    Attributes
-    ----------
-    name
-        What may be, in words, with its usual size.
-    derivative
-        Of a fit, by one usual size; None where the budget has it already.
-    """
-
-    name: str
-    derivative: Callable[[FittedRows], Derivative | None]
 
 
 def static_gain(fit: FittedRows) -> Derivative | None:
@@ -125,26 +106,23 @@ def _up(fit: FittedRows) -> Array:
     return np.eye(3)[None, :, :1] * fit.moments.of_load[:, None, 1:]
 
 
-UNDETECTABLE_EFFECTS: tuple[Unseen, ...] = (
-    Unseen("5 mN of an added weight rests on something else", borne),
-    Unseen("all zeros shift by a tenth of a reading's noise under a load", zero_by_load),
-    Unseen("the bias magnets are 1 K warmer under a load", warmer_magnets),
-    Unseen("coil gains differ by 1 % between static and elastic forces", static_gain),
-)
+# What may be, in words, with its usual size; the derivative by that, None where the budget has it.
+UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
+    "5 mN of an added weight rests on something else": borne,
+    "all zeros shift by a tenth of a reading's noise under a load": zero_by_load,
+    "the bias magnets are 1 K warmer under a load": warmer_magnets,
+    "coil gains differ by 1 % between static and elastic forces": static_gain,
+}
 
 
 def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
     """Return what the data cannot show would do to the common scale, the largest first."""
-    found = sorted(_unseen(left), key=lambda error: -error.relative)
-    return tuple(found)
-
-
-def _unseen(left: ExaminedFit) -> Iterator[UnseenError]:
+    found = list[UnseenError]()
     fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
     # Of a relative change of all: alpha -> alpha (1 + e).
     direction = fit.alpha / (fit.alpha @ fit.alpha)
-    for effect in UNDETECTABLE_EFFECTS:
-        derivative = effect.derivative(fit)
+    for name, derivative_at in UNDETECTABLE_EFFECTS.items():
+        derivative = derivative_at(fit)
         if derivative is None:
             continue
         result = scored(fit, derivative)
@@ -156,26 +134,25 @@ def _unseen(left: ExaminedFit) -> Iterator[UnseenError]:
             left_open = along
         moved = float(np.sqrt(along @ left_open))
         if moved > max(NEGLIGIBLE_SCALE_ERROR, MIN_REMAINING_SIZE * float(np.linalg.norm(along))):
-            yield UnseenError(effect.name, moved)
-
-
-def positions_are_unsure(layout: Layout) -> bool:
-    """Tell whether the positions of the magnets have a declared uncertainty."""
-    return layout.x_error is not None or layout.y_error is not None
+            found.append(UnseenError(name, moved))
+    return tuple(sorted(found, key=lambda error: -error.relative))
 
 
 def with_positions_unsure(left: ExaminedFit) -> Minimum:
     """Return the minimum of an examined fit with what unsure positions add to its covariance.
 
-    How far magnets stand off the data say themselves where they can; else as far as is declared.
+    Nothing where no uncertainty of theirs is declared. How far magnets stand off the data say
+    themselves where they can; else as far as is declared.
     """
+    layout = left.problem.campaign.layout
+    if layout.x_error is None and layout.y_error is None:
+        return left.minimum
     if any(effect.code == POSITIONS.code for effect in left.effects):
         return left.minimum  # they are unknowns already
     fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
     taken_out = correction(fit, POSITIONS)
     if taken_out is not None:
         return taken_out.minimum
-    layout = left.problem.campaign.layout
     errors = np.array(
         [
             np.zeros(fit.problem.n) if error is None else error[layout.enabled]

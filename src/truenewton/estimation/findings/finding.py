@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from truenewton.estimation.findings.catalogue import ENTRIES
+from truenewton.estimation.findings.catalogue import ENTRIES, Entry
 from truenewton.estimation.findings.code import Code, Concern, Level
 from truenewton.rounding import counted, listed, named, numbered, percent
 
@@ -112,7 +112,7 @@ class Finding:
         return cls(code=code, values=own, actuators=ids, cause=cause, remedy=remedy)
 
     @property
-    def _entry(self) -> Any:
+    def _entry(self) -> Entry:
         return ENTRIES[self.code]
 
     def _filled(self, text: str) -> str:
@@ -124,7 +124,7 @@ class Finding:
     @property
     def name(self) -> str:
         """How it reads, without where it is."""
-        name: str = self._entry.name
+        name = self._entry.name
         if not name:
             return self.fault
         if "{}" in name:
@@ -163,8 +163,7 @@ class Finding:
             return self.graded
         if self._entry.level is None:
             return self.cause.level if self.cause is not None else Level.USABLE
-        level: Level = self._entry.level
-        return max(level, Level.USABLE) if self.corrected else level
+        return max(self._entry.level, Level.USABLE) if self.corrected else self._entry.level
 
     @property
     def grade(self) -> str:
@@ -174,8 +173,7 @@ class Finding:
     @property
     def concern(self) -> Concern:
         """What it is about, and so what it means for the result."""
-        concern: Concern = self._entry.concern
-        return concern
+        return self._entry.concern
 
     @property
     def ids(self) -> str:

@@ -14,9 +14,8 @@ from truenewton.statics.load import Load
 
 FROM_READINGS = ErrorSource(ErrorKind.READINGS)
 MAGNET_COEFFICIENT = -1.1e-3  # [1/K] of NdFeB, the law of a mirror that nobody tracked [lit]
-NEGLIGIBLE_SCALE_ERROR = (
-    1e-5  # sources of a relative error of the common scale below it are not listed
-)
+# Sources of a relative error of the common scale below it are not listed.
+NEGLIGIBLE_SCALE_ERROR = 1e-5
 
 SAME_TEMPERATURE = 0.05  # [K] within which no load is warmer than another
 # For each independent source, (L,) change of W of each load by one standard uncertainty [N].
@@ -64,12 +63,8 @@ def temperature_errors(campaign: Campaign, force: Array) -> dict[ErrorSource, Ar
     if len(weights) < 2 or not np.isfinite(warmth).all() or np.ptp(warmth) < SAME_TEMPERATURE:
         return {}
     bias = np.polyfit(force, -weights, 1)[1] if np.ptp(force) else 0.0
-    return {
-        ErrorSource(ErrorKind.BETWEEN_LOADS): 2
-        * MAGNET_COEFFICIENT
-        * bias
-        * (warmth - warmth.mean())
-    }
+    changes = 2 * MAGNET_COEFFICIENT * bias * (warmth - warmth.mean())
+    return {ErrorSource(ErrorKind.BETWEEN_LOADS): changes}
 
 
 def added_source(load: Load) -> ErrorSource:

@@ -1,7 +1,5 @@
 """What goes into the likelihood and what comes out, and alpha as samples of one population.
 
-Actuators as samples of one population: what is not smooth over the mirror, shrunk to it.
-
 Magnets and coils scatter from one to the next, and that is a population; what rises to the rim or
 from side to side is none, and stays as the data have it.
 """
@@ -155,9 +153,8 @@ class Minimum:
     iterations: int
 
 
-MIN_SMOOTH_ACTUATORS = (
-    100  # actuators, which are enough to leave smooth patterns of the fourth degree free
-)
+# Actuators, which are enough to leave smooth patterns of the fourth degree free.
+MIN_SMOOTH_ACTUATORS = 100
 MIN_POPULATION_SPREAD = 1e-3  # no coils and magnets are more alike
 
 

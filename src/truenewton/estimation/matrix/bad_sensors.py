@@ -16,20 +16,16 @@ from truenewton.arrays import Array
 from truenewton.estimation.matrix.couplings import pair_ratios, typical_spacing
 
 MIN_GAIN_FACTOR = 1.1  # from that of other sensors, from which one is wrong, and
-MIN_GAIN_DEVIATION = (
-    4.5  # times what is typical of log t: sensors off their magnets feign gains, all of them
-)
+# Times what is typical of log t: sensors off their magnets feign gains, all of them.
+MIN_GAIN_DEVIATION = 4.5
 MAX_GAIN_REMAINDER = 0.5  # of what the columns around are out of balance by, at most
 SAME_ELEMENT_TOLERANCE = 0.03  # of an own element
 TRANSPOSE_TOLERANCE = 0.03  # of an element, that it may differ from its transpose
 MAX_SOUGHT_FACTOR = 30.0  # factor that is looked for
 FACTOR_PENALTY = 0.03  # imbalance, in terms of an own element, that pays for one factor of 2
-NO_PENALTY = 1e-6  # as good as no penalty
 MIN_IMBALANCE_RATIO = 5.0  # times what is typical: columns out of balance
-MAX_COMMON_REMAINDER = (
-    0.05  # of what those columns are out of balance by, if many gains are wrong at once
-)
-REWEIGHTING_STEPS = 25  # of reweighting
+# Of what those columns are out of balance by, if many gains are wrong at once.
+MAX_COMMON_REMAINDER = 0.05
 MIN_LOG_FACTOR = 0.02  # factor that is taken for none, in reweighting
 
 
@@ -59,8 +55,7 @@ def wrong_gains(
     if together is not None:
         return together
     even, n = even.copy(), len(even)
-    own = np.abs(np.diag(even))
-    own = np.where(own > 0.0, own, np.median(own))
+    own = _own(even)
     length, gain = np.sum(a**2, axis=0), np.ones(n)
     some = strong & (even != 0.0)
     around = some.any(axis=1)
@@ -94,19 +89,24 @@ def wrong_gains(
     return gain
 
 
+def _own(even: Array) -> Array:
+    """Return (n,) sizes of the own elements; the median where one is 0."""
+    own = np.abs(np.diag(even))
+    return np.where(own > 0.0, own, np.median(own))
+
+
 def _gains_together(even: Array, a: Array, noisy: Sequence[int]) -> Array | None:
     """Return (n,) gains that cure the columns about them all; None where no few do.
 
     Rows t with a diag(t) K = 0 by least absolute imbalance of columns, |t - 1| of each row
     penalized, so that few differ from 1; then these alone, without penalty.
     """
-    own = np.abs(np.diag(even))
-    columns = even / np.where(own > 0.0, own, np.median(own))
+    columns = even / _own(even)
     before = np.linalg.norm(a @ columns, axis=0)
     out = before > MIN_IMBALANCE_RATIO * np.median(before)
     columns[:, list(noisy)], out[list(noisy)] = 0.0, False
     far = np.arange(len(even))
-    for penalty in (FACTOR_PENALTY, NO_PENALTY):
+    for penalty in (FACTOR_PENALTY, 1e-6):  # the second as good as none
         t = _row_factors(columns, a, far, penalty)
         far = np.flatnonzero(
             np.abs(np.log(np.maximum(t, 1.0 / MAX_SOUGHT_FACTOR))) > np.log(MIN_GAIN_FACTOR)
@@ -128,7 +128,7 @@ def _gains_together(even: Array, a: Array, noisy: Sequence[int]) -> Array | None
 def _row_factors(columns: Array, a: Array, some: NDArray[np.int64], penalty: float) -> Array:
     """Return (n,) factors of rows, some of them not 1, by which (n, n) columns balance best."""
     t, products = np.ones(len(columns)), a.T @ a
-    for _ in range(REWEIGHTING_STEPS):
+    for _ in range(25):
         size = np.linalg.norm((a * t) @ columns, axis=0)
         weight = 1.0 / np.maximum(size, max(float(np.median(size)), 1e-6))
         square = products[some] * ((columns[some] * weight) @ columns.T)
@@ -157,8 +157,7 @@ def signs(even: Array, a: Array, wrong: NDArray[np.int64], strong: NDArray[np.bo
     strong
         (n, n) which pairs are coupled, the diagonal not.
     """
-    own = np.abs(np.diag(even))
-    own = np.where(own > 0.0, own, np.median(own))
+    own = _own(even)
     rho, sign = a @ even, np.ones(len(even))
     for i in wrong.tolist():
         as_measured = rho - 2.0 * a[:, [i]] * even[i]
@@ -221,8 +220,7 @@ def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> boo
     """
     rho = a @ even
     by_column = rho + a[:, [i]] * (even[:, i] - even[i])
-    own = np.abs(np.diag(even))
-    own = np.where(own > 0.0, own, np.median(own))
+    own = _own(even)
     sizes = [np.sum((np.linalg.norm(each, axis=0) / own)[near]) for each in (rho, by_column)]
     return bool(sizes[0] <= sizes[1])
 

@@ -42,7 +42,6 @@ from truenewton.estimation.matrix.couplings import relative_couplings
 from truenewton.estimation.matrix.facts import MatrixFacts
 
 MIN_ACTUATORS = 12
-NOISE_STEPS = 10
 PRIOR_READINGS = 12.0  # by which the noise of a column is held to that of the others
 SMOOTH_DEGREE = 3  # of fields of wrong positions
 MIN_RING_GAP = 0.03  # of the largest radius, between two rings
@@ -279,7 +278,7 @@ def _noise_root(q: Array, m: Array, e: Array, by_alpha: Array) -> Array:
     laws = np.stack([np.broadcast_to(np.eye(3), (n, 3, 3)), np.einsum("ia,ij,ib->jab", q, m**2, q)])
     laws[1] *= 3.0 / np.trace(laws[1], axis1=1, axis2=2).mean()
     size, column = np.full(2, 0.5 * float(np.mean(e**2))), np.ones(n)
-    for _ in range(NOISE_STEPS):
+    for _ in range(10):
         root = _root(np.tensordot(size, laws, 1) * column[:, None, None])
         basis = _orthonormal(_whitened(root, by_alpha))
         r = _whitened(root, e)

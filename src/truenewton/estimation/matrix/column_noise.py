@@ -10,7 +10,6 @@ import scipy
 
 from truenewton.arrays import Array
 
-EQUAL_NOISE_FREEDOM = 200.0  # degrees of freedom of t from which all sensors have one noise
 MIN_LOG_LIKELIHOOD_GAIN = 3.0  # in log likelihood: what a further parameter must bring
 MIN_COLUMN_DEVIATION = 1e-13  # of a typical element, its standard deviation at least
 
@@ -163,6 +162,6 @@ def _student(distance: Array, dimensions: Array) -> tuple[float, float, float]:
         [np.log(8.0), -1.0],
         jac=True,
         method="L-BFGS-B",
-        bounds=[(0.0, np.log(EQUAL_NOISE_FREEDOM)), (-20.0, 20.0)],
+        bounds=[(0.0, np.log(200.0)), (-20.0, 20.0)],
     )
     return float(found.fun), float(np.exp(found.x[0])), scale * float(np.exp(found.x[1]))

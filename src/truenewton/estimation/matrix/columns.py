@@ -1,6 +1,4 @@
-"""The columns of a matrix in balance, each with the noise that it shows.
-
-`ml` on a stiffness matrix: the balance of its columns, each with the noise that it shows.
+"""`ml` on a stiffness matrix: the balance of its columns, each with the noise that it shows.
 
 Column j, the commanded forces per displacement of sensor j, balances but for what the bias magnets
 add to a rigid displacement, 9 numbers b, and for noise of variance V_ij in its elements:
@@ -32,7 +30,6 @@ from truenewton.estimation.likelihood.minimum import (
 from truenewton.estimation.matrix.column_noise import ColumnNoise, likeliest_noise
 from truenewton.estimation.matrix.facts import ElasticModes
 
-COVARIANCE_ROUNDING = 1e-13  # of a covariance
 MIN_VARIANCE_SHARE = 0.01  # part of a variance that a fit leaves at least
 
 
@@ -88,7 +85,7 @@ def terms_at(
     rho = ((c.a * alpha) @ c.stiffness + b @ c.sensor_arms).T
     s = imbalance_covariances(c.a * (alpha if held is None else held), variance) + c.disturbance
     # A disturbance in one direction may be so large that noise in the others is its rounding.
-    s = s + COVARIANCE_ROUNDING * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    s = s + 1e-13 * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     root = np.linalg.cholesky(s)
     inverse_root = np.linalg.inv(root)
     residual = np.einsum("mkl,ml->mk", inverse_root, rho)
@@ -168,14 +165,11 @@ def inverse_information(terms: Terms, prior: Array, feigned: Array) -> Array:
     )
 
 
-ALPHA_STEPS = 12
-NOISE_ROUNDS = 8  # of alpha and noise in turn
 SETTLED_ALPHA_STEP = 0.02  # rms step in terms of the rms error at which alpha has settled
 SETTLED_NOISE_CHANGE = 0.03  # change of the noise at which it has
 START_SPREAD = 0.1  # spread of a population to begin with
-MAX_DISTURBANCE_SHARE = (
-    0.1  # part of a column's variance that may be a disturbance where its noise is judged
-)
+# Part of a column's variance that may be a disturbance where its noise is judged.
+MAX_DISTURBANCE_SHARE = 0.1
 MIN_NOISE = 1e-6  # noise in terms of a typical element, beside which any disturbance is large
 HOPELESS_LOG_LIKELIHOOD = 30.0  # in log likelihood: so much less likely a law is given up
 
@@ -279,7 +273,7 @@ def _alternate(
     """
     n, weight = len(at.alpha), np.ones(c.size.shape[1])
     alpha, b, noise, spread = at.alpha, at.b, at.noise, at.spread
-    for _ in range(NOISE_ROUNDS):
+    for _ in range(8):
         variance, prior = noise.of_elements(c.size) / weight, on_logarithms(smooth, spread)
         alpha, b, terms, inverse, feigned = _settle(c, alpha, b, variance, prior, held)
         known = held is None
@@ -343,7 +337,7 @@ def _settle(
 ) -> tuple[Array, Array, Terms, Array, Array]:
     """Return alpha of mean 1, b, the terms there, (n + 9, n + 9) inverse of H and prior, and D."""
     n, feigned = len(alpha), np.zeros((len(alpha), len(alpha)))
-    for step_index in range(ALPHA_STEPS):
+    for step_index in range(12):
         terms = terms_at(c, alpha, b, variance, held)
         if held is None and not step_index:  # alpha hardly moves it
             feigned = spurious_information(c, alpha, terms.root, variance)

@@ -19,11 +19,9 @@ from scipy.linalg.lapack import dposv
 from truenewton.arrays import Array
 
 STRONG_COUPLING = 0.05  # coupling in terms of both own stiffnesses, from which a pair counts
-EQUAL_WEIGHT_COUPLING = (
-    0.1  # coupling from which pairs count alike: one wrong element is not to outweigh the rest
-)
+# Coupling from which pairs count alike: one wrong element is not to outweigh the rest.
+EQUAL_WEIGHT_COUPLING = 0.1
 NEAR_SPACINGS = 6.0  # spacings
-MAX_RATIO_STEPS, MAX_WARM_STEPS = 50, 5
 
 
 def relative_couplings(k: Array) -> Array:
@@ -53,7 +51,7 @@ def pair_ratios(k: Array, start: Array | None = None) -> tuple[Array, Array]:
         log_alpha = start
         robust = weight / np.maximum(np.abs(ratio - (start[j] - start[i])), 1e-3)
     laplacian = np.empty((n, n))
-    for _ in range(MAX_RATIO_STEPS if start is None else MAX_WARM_STEPS):
+    for _ in range(50 if start is None else 5):
         own = np.bincount(i, robust, n) + np.bincount(j, robust, n)
         held = float(np.median(own[own > 0.0])) if own.any() else 1.0
         laplacian[:] = held / n
@@ -79,7 +77,6 @@ def typical_spacing(a: Array) -> float:
     return float(np.median(distance.min(axis=1)))
 
 
-PROJECTION_PASSES = 30  # of the projection, each with what lies far left out
 ELSEWHERE = "stands elsewhere than at its X and Y"
 MIN_PLACED_ACTUATORS = 20  # actuators among which one can be told to stand elsewhere
 MIN_PLACE_DISTANCE = 0.3  # of the spacing: so far from its place one is seen elsewhere
@@ -100,7 +97,7 @@ def projected(seen: Array, arms: Array) -> Array:
     cross = np.array([[nothing, -b[2], b[1]], [b[2], nothing, -b[0]], [-b[1], b[0], nothing]])
     equations = np.einsum("uvi,wi->iuvw", cross, a).reshape(n, 3, 9)
     weight, place = np.ones(n), np.zeros((n, 2))
-    for _ in range(PROJECTION_PASSES):
+    for _ in range(30):  # each with what lies far left out
         gram = np.einsum("i,iup,iuq->pq", weight, equations, equations, optimize=True)
         projection = np.linalg.eigh(gram)[1][:, 0].reshape(3, 3)
         found = np.linalg.pinv(projection) @ seen

@@ -190,12 +190,11 @@ def find(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
                 raise error.changed(fault=effect.name, remedy=effect.remedy) from None
         raise
     n, singular_values = len(fitted.alpha), fitted.singular_values
-    turned = (
-        ()
-        if any(effect.code == Code.TRANSPOSED_STIFFNESS for effect in screened.effects)
-        else _orientation_warnings(facts)
-    )
-    of_file = (*_unit_warnings(facts), *turned)
+    of_file = [*_unit_warnings(facts)]
+    if facts.looks_transposed and not any(
+        effect.code == Code.TRANSPOSED_STIFFNESS for effect in screened.effects
+    ):
+        of_file.append(Finding.of(Code.LOOKS_TRANSPOSED))
     warnings = (*screened.warnings, *of_file, *fitted.warnings)
     return Estimate(
         method=fitted.method,
@@ -234,12 +233,6 @@ def _unit_warnings(facts: MatrixFacts) -> Iterator[Finding]:
         power = round(np.log10(max(own, 1e-300) / TYPICAL_STIFFNESS) / 3.0)
         unit = UNITS.get(power, "counts, or no N/m at least")
         yield Finding.of(Code.STIFFNESS_UNIT, unit=unit, own=own, usual=TYPICAL_STIFFNESS)
-
-
-def _orientation_warnings(facts: MatrixFacts) -> Iterator[Finding]:
-    """Warn of a transposed matrix: a rigid displacement must cost little force."""
-    if facts.looks_transposed:
-        yield Finding.of(Code.LOOKS_TRANSPOSED)
 
 
 def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:

@@ -36,12 +36,10 @@ SUSPECT_RIGID_COST = 0.005  # cost from which other orders are tried
 MIN_COST_RATIO = 3.0  # times less it costs in the right one
 RADIUS_TOLERANCE = 1e-3  # of the largest: actuators of one ring
 MIN_EXPLAINED_COUPLING = 0.65  # of the couplings, explained by distance
-MAX_SYMMETRISED_ASYMMETRY = (
-    1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
-)
-MIN_MEASURED_IMBALANCE = (
-    0.02  # of the own stiffness: columns out of balance, beyond what sensors and alpha leave both
-)
+# |K - K'| / |K + K'|: no measured stiffness is so, but for rounding.
+MAX_SYMMETRISED_ASYMMETRY = 1e-6
+# Of the own stiffness: columns out of balance, beyond what sensors and alpha leave both.
+MIN_MEASURED_IMBALANCE = 0.02
 SAME_NUMBER_TOLERANCE = 1e-9  # of an own element, to be the same number as others
 MAX_SOFTEST_COST = 1.5  # cost of rigid motions in terms of any, where a stiffness has next to none
 

@@ -109,7 +109,7 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
             measured = facts if k is facts.stiffness and not off.any() else None
             found, k = _mended(k, a, off, [each.index for each in half], length, measured)
         except FitsNoSymmetry as error:
-            unsure = (_as_measured(error),)
+            unsure = (Finding.of(Code.MISFITS_KEPT, fault=error.fault, advice=error.remedy),)
     known = {each.index for each in half}
     bad = (*(each for each in found if each.index not in known), *half)
     good, doubt = np.asarray(~off, dtype=np.bool_), np.zeros(len(k))
@@ -269,11 +269,6 @@ def _balanced_about(
     if not near.any() or near.all():
         return True
     return bool(np.median(size[near]) < BALANCED_RATIO * np.median(size[~near]))
-
-
-def _as_measured(error: FitsNoSymmetry) -> Finding:
-    """Return what is said of a matrix of which all is kept, as too much does not fit."""
-    return Finding.of(Code.MISFITS_KEPT, fault=error.fault, advice=error.remedy)
 
 
 def _warnings(

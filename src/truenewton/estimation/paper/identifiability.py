@@ -237,10 +237,8 @@ def unseen_load(nz: Array, weights: Array, moments: Moments) -> Finding | None:
 
 def similar_loads(weights: Array) -> Finding | None:
     """Judge (L,) weights that differ, but hardly: noise of the readings then tells the scale."""
-    largest, apart = (
-        np.abs(weights).max(initial=0.0),
-        float(np.ptp(weights)) if weights.size else 0.0,
-    )
+    largest = np.abs(weights).max(initial=0.0)
+    apart = float(np.ptp(weights)) if weights.size else 0.0
     if not 0.0 < apart < SIMILAR_LOADS_FRACTION * largest:
         return None
     return Finding.of(Code.SIMILAR_LOADS, difference=apart, largest=largest)

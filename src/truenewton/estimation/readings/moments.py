@@ -100,9 +100,6 @@ def shape_sums(mean: Array, weight: Array, known: Array, share: Array) -> ShapeS
     )
 
 
-MIN_EIGENVALUE = 1e-9  # eigenvalue, in terms of the largest, of a direction of X that counts
-
-
 @dataclass(frozen=True, eq=False)
 class Pooling:
     """Rows that carry what groups share.
@@ -177,7 +174,7 @@ def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) 
     told = of_shape.T @ (weight[:, None] * of_statics) / total[:, None]
     apart = of_statics - of_shape @ told
     values, vectors = np.linalg.eigh(apart.T @ (weight[:, None] * apart))
-    counted = values > MIN_EIGENVALUE * r.sum()
+    counted = values > 1e-9 * r.sum()  # but for rounding
     rest = apart @ (vectors[:, counted] / np.sqrt(values[counted]))
     parts = [of_shape / np.sqrt(total), scipy.sparse.csr_array(rest)]
     return Pooling(scipy.sparse.hstack(parts, format="csr"), weight)

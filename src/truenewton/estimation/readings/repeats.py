@@ -48,7 +48,6 @@ from truenewton.statics.arms import enabled_arms
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
 MAX_DISPLACED_MEANS = 2**24  # means of displacements that are taken
-BLOCKS_PER_TASK = 4  # full ones, which are read at once: some tenths of a second
 SAMPLE_ROWS = 1000  # whose deviations are held: they tell a variance of three degrees to 3 %
 
 
@@ -208,7 +207,7 @@ class RepeatSums:
         for block in self._every_block():
             run.append(block)
             size += 8 * n * int(block.number.sum())
-            if size > BLOCKS_PER_TASK * BLOCK_BYTES:
+            if size > 4 * BLOCK_BYTES:  # some tenths of a second
                 yield run
                 run, size = [], 0
         if run:

@@ -19,10 +19,8 @@ import numpy as np
 from truenewton.arrays import Array
 
 FINEST_STEP = 1e-6  # of the largest reading: finer steps are rounding of the computer
-EXACT_MULTIPLE, NEAR_MULTIPLE = (
-    0.02,
-    0.1,
-)  # of a step, within which readings are multiples of it, or seem to be
+# Of a step, within which readings are multiples of it, or seem to be.
+EXACT_MULTIPLE, NEAR_MULTIPLE = 0.02, 0.1
 MIN_STEP_READINGS, MIN_STEP_GAPS = 12, 8  # readings that tell a step; gaps that give it
 _SIGMA = np.linspace(0.0, 1.0, 101)  # of a step
 _K = np.arange(1, 200)[:, None]

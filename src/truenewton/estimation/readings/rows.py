@@ -1,7 +1,5 @@
 """Rows of a cycle as they balance, with displacements and gradients, and blocks of groups of rows.
 
-Rows of a cycle as they balance, displacements and gradients put to use.
-
 Displacements count from one reading of each sensor for all cycles of a campaign, the mean of its
 cycles at rest: so alpha is that of the mean place of the glass, wherever a load holds it. But
 somebody's electronics may set their zero anew with each file. Where a sensor's mean over a cycle

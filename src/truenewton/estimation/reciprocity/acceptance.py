@@ -26,10 +26,8 @@ MAX_HELD_OUT_RATIO = 1.15  # held-out imbalance in terms of that of balance alon
 MAX_CHI2_BETWEEN = 6.0  # chi2 per degree of freedom between balance alone and reciprocity alone
 MAX_BLOCK_CHI2 = 1.5  # chi2 per degree of freedom of a block, where the noise is known
 MAX_OFFSET_SPREAD = 1.2e-3  # rms offset of the sensors along an axis [m]
-SENSELESS_ERROR, SURE_ERROR_RATIO = (
-    0.1,
-    0.03,
-)  # error of reciprocity on no mirror; that of ml in terms of it
+# Error of reciprocity on no mirror; that of ml in terms of it.
+SENSELESS_ERROR, SURE_ERROR_RATIO = 0.1, 0.03
 BLOCKS = ("balance", "rigid motions", "reciprocity")
 
 

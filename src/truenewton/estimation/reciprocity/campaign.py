@@ -152,22 +152,14 @@ def _found(
         diagnosis=replace(estimate.diagnosis, warnings=said),
         sensors=sensors_of(fitted, errors_of_sensors(fitted), ids, keep),
     )
-    return estimate, tuple(
-        refusals(
-            Evidence(
-                fitted.reduced,
-                odd=odd,
-                disturbed=bool(np.any(shared.disturbance)),
-                untried=problem.n if problem.n > MAX_SINGLE_STATES else 0,
-                offset_spread=_offset_spread(fitted),
-            )
-        )
+    evidence = Evidence(
+        fitted.reduced,
+        odd=odd,
+        disturbed=bool(np.any(shared.disturbance)),
+        untried=problem.n if problem.n > MAX_SINGLE_STATES else 0,
+        offset_spread=fitted.asked.offset_spread if fitted.asked.estimated else float("nan"),
     )
-
-
-def _offset_spread(fitted: Fit) -> float:
-    """Return the spread of the offsets as the data give it; NaN where they do not."""
-    return fitted.asked.offset_spread if fitted.asked.estimated else float("nan")
+    return estimate, tuple(refusals(evidence))
 
 
 def _balancing(screened: ScreenedCampaign, base: Estimate) -> Moments:

@@ -22,7 +22,6 @@ from truenewton.estimation.reciprocity.sensor_model import Places
 MAX_ROW_ASYMMETRY = 4.0  # times the median asymmetry of a row: beyond it an actuator is left free
 MIN_ASYMMETRY_RATIO = 2.0  # times less asymmetry that a typical row has with one of them free
 MAX_FREED_FRACTION = 0.03  # of the actuators, and two at least, may be left free
-CANDIDATE_COUNT = 8  # that are tried: neighbours of a bad actuator stand out as well
 
 
 def odd_actuators(stiffness: Array, start: Array | None = None) -> NDArray[np.int64]:
@@ -37,9 +36,8 @@ def odd_actuators(stiffness: Array, start: Array | None = None) -> NDArray[np.in
     found, size = list[int](), _asymmetry(stiffness, ratios)
     while len(found) <= max(2, int(MAX_FREED_FRACTION * len(stiffness))):
         worst = np.argsort(-size)
-        tried = worst[rest.diagonal()[worst] != 0.0][
-            :CANDIDATE_COUNT
-        ]  # one that yields can be free
+        # Neighbours of a bad actuator stand out as well; one that yields can be free.
+        tried = worst[rest.diagonal()[worst] != 0.0][:8]
         if not tried.size:
             break
         left, alike = list[Array](), list[Array]()

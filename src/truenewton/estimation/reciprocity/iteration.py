@@ -26,10 +26,6 @@ from truenewton.linalg import inverse_of_positive, thread_count, threads
 
 MAX_STEPS = 40
 SETTLED_STEP = 0.02  # rms step of alpha over its rms error
-SLOW_RATIO = (
-    0.25  # step of alpha in terms of the one before, beyond which a kept factor is made anew
-)
-MAX_STEP = 0.3  # step of any log alpha or log g
 # Spreads of log g and of offsets [m] below which they are none: where data do not hold them, each
 # step would find them smaller.
 MIN_GAIN_SPREAD, MIN_OFFSET_SPREAD = 1e-6, 1e-8
@@ -157,7 +153,7 @@ def fit(
     for step in range(MAX_STEPS):
         point = point_at(places, values, asked, states_at)
         known = asked.information(places.n)
-        if not (fixed and step and size < SLOW_RATIO * last):
+        if not (fixed and step and size < 0.25 * last):  # a kept factor serves while steps shorten
             covariance, leverage = _covariance(point, asked, before, single=True)
         before = None if fixed else Fitted(covariance, point.weights)
         if leverage is not None and told is not None:
@@ -168,7 +164,7 @@ def fit(
         last, size = size, float(np.sqrt(np.mean(move[:n] ** 2)))
         settled = step > 0 and size < SETTLED_STEP * error
         logs = move[: n * sum(kind not in OFFSETS for kind in asked.kinds)]
-        move = move * min(1.0, MAX_STEP / max(float(np.abs(logs).max()), 1e-300))
+        move = move * min(1.0, 0.3 / max(float(np.abs(logs).max()), 1e-300))
         values = asked.moved(values, move)
         if settled:
             if not fixed:

@@ -46,9 +46,8 @@ from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Requ
 from truenewton.progress import tell
 from truenewton.statics.layout import Layout
 
-AT_MAGNETS_OFFSET = (
-    5e-5  # rms offset [m] of sensors; beyond it a plate is not what they see of the glass
-)
+# Rms offset [m] of sensors; beyond it a plate is not what they see of the glass.
+AT_MAGNETS_OFFSET = 5e-5
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,19 +36,13 @@ from truenewton.linalg import inverse_of_positive
 
 MAX_BINS = 12
 MIN_MODES_IN_BIN = 8  # modes in a bin
-ENOUGH_MODES_IN_BIN = (
-    20  # modes in a bin, from which on each of three equations tells its own noise
-)
-MAX_BLOCK_LEVERAGE = (
-    0.95  # of a block of residuals, by a fit: beyond, too little is left to tell noise
-)
+# Modes in a bin, from which on each of three equations tells its own noise.
+ENOUGH_MODES_IN_BIN = 20
+# Of a block of residuals, by a fit: beyond, too little is left to tell noise.
+MAX_BLOCK_LEVERAGE = 0.95
 # Of the variance of the quietest pair with the same mode, what is rigid has at least so much: gains
 # and offsets of a small mirror can fit rigid motions without any rest.
 MIN_RIGID_VARIANCE = 0.01
-UNDAMPED_UPDATES = (
-    8  # times; from then on variances go half the way, which ends what swings to and fro
-)
-FORCE_ROUNDING = 1e-12  # of the forces: no residual is less noisy
 
 
 @dataclass(eq=False)
@@ -140,13 +134,13 @@ class BinnedNoise:
         variance = square / _left(pairs, of_pair)
         statics = np.add.reduceat(left.statics**2, starts, axis=1) / _left(sizes, taken.statics)
         rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(sizes[:, None], taken.rigid)
-        variance = np.maximum(variance, FORCE_ROUNDING**2 * np.mean(np.diagonal(work) ** 2))
+        variance = np.maximum(variance, (1e-12) ** 2 * np.mean(np.diagonal(work) ** 2))
         if sizes.min() < ENOUGH_MODES_IN_BIN:
             statics = np.repeat(statics.mean(axis=0, keepdims=True), 3, axis=0)
             rigid = np.repeat(rigid.mean(axis=1, keepdims=True), 3, axis=1)
         least = MIN_RIGID_VARIANCE * variance.min(axis=0)
         found = (np.maximum(statics, least), np.maximum(rigid, least[:, None]), variance)
-        if self.times > UNDAMPED_UPDATES and self.before is not None:
+        if self.times > 8 and self.before is not None:  # half the way ends what swings to and fro
             found = tuple(np.sqrt(one * old) for one, old in zip(found, self.before, strict=True))
         self.times, self.before = self.times + 1, found
         statics, rigid, variance = found
@@ -182,17 +176,13 @@ def _left(count: Array, taken: Array) -> Array:
     return np.asarray(count * (1.0 - np.minimum(taken / count, MAX_BLOCK_LEVERAGE)))
 
 
-MAX_NOISE_STEPS = 40  # of three each
-SETTLED_VARIANCE, SETTLED_SENSOR = (
-    2e-3,
-    0.05,
-)  # relative change of what matters to the variance; of c
+# Relative change of what matters to the variance; of c.
+SETTLED_VARIANCE, SETTLED_SENSOR = 2e-3, 0.05
 MIN_ELEMENT_VARIANCE = 1e-24  # variance in terms of the mean square of an element
 PRIOR_RESIDUALS = 4.0  # residuals' worth of belief that a sensor is as noisy as the others
 MAX_PAIR_LEVERAGE = 0.9  # of a pair, by factors: beyond, too little is left to tell noise
 NEGLIGIBLE_VARIANCE_SHARE = 1e-4  # share of the variance that does not matter
 MIN_PART_SHARE = 1e-6  # below which no part of the variance falls, so that logarithms stay bounded
-MAX_LOG_STEP = 4.0  # step of a logarithm
 
 
 def element_variance(stiffness: Array, fit: Fit, places: Places) -> tuple[Array, float]:
@@ -274,12 +264,12 @@ def _likeliest(
             0.25 * float(np.mean(apart**2)) / float(np.mean(own)), MIN_ELEMENT_VARIANCE * mean
         )
         logs = np.concatenate([np.log([first, first, 1.0]), np.zeros(n)])
-    for _ in range(MAX_NOISE_STEPS):
+    for _ in range(40):  # of three steps each
         one, _ = stepped(logs)
         two, cost = stepped(one)
         step, bend = one - logs, two - 2.0 * one + logs
         far = max(1.0, float(np.linalg.norm(step)) / max(float(np.linalg.norm(bend)), 1e-300))
-        jumped = logs + np.clip(2.0 * far * step + far**2 * bend, -MAX_LOG_STEP, MAX_LOG_STEP)
+        jumped = logs + np.clip(2.0 * far * step + far**2 * bend, -4.0, 4.0)
         logs, reached = stepped(jumped)
         change = np.abs(logs - jumped)
         if not reached <= cost:

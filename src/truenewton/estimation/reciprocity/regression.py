@@ -23,8 +23,7 @@ from truenewton.estimation.reciprocity.states import States, Weights, equal_bins
 from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.linalg import singular_values_and_vectors
 
-STATE_BINS = 12  # of states; up to `MAX_SINGLE_STATES` states one each
-MAX_SINGLE_STATES = 100
+MAX_SINGLE_STATES = 100  # up to so many states have a bin each
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +96,7 @@ class Regressed:
             balancing=noise @ rigid,
             dual=scipy.linalg.cho_solve((root, True), readings),
         )
-        bins = equal_bins(n - 3, n - 3 if n <= MAX_SINGLE_STATES else STATE_BINS)
+        bins = equal_bins(n - 3, n - 3 if n <= MAX_SINGLE_STATES else 12)
         of_bin = np.array([np.exp(np.mean(np.log(size[some]))) for some in bins])
         weights = Weights(
             statics=np.ones((3, n - 3)),
@@ -110,12 +109,10 @@ class Regressed:
         return states, weights
 
 
-MIN_SPARE_SHAPES = (
-    0.25  # shapes beyond the actuators, in terms of these, from which their misfit is noise
-)
-MIN_AMPLITUDE = (
-    1e-5  # amplitude of a motion in terms of the largest: below it shapes do not hold it
-)
+# Shapes beyond the actuators, in terms of these, from which their misfit is noise.
+MIN_SPARE_SHAPES = 0.25
+# Amplitude of a motion in terms of the largest: below it shapes do not hold it.
+MIN_AMPLITUDE = 1e-5
 
 
 def regressed(

@@ -24,14 +24,11 @@ from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Request
 from truenewton.linalg import factor_of
 
 DRAW_SEED = 1
-DRAW_WORK = 1e9  # (n actuators)^3 times the draws, between a few and many
-MIN_DRAWS, MAX_DRAWS = 50, 300
-RARE_DRAW_FRACTION = (
-    0.01  # of draws: what differs by more than all but these may be no noise, and is none
-)
-UNCERTAIN_VARIANCE_FACTOR = (
-    1.5  # times beyond these, as the variance of the elements is not known for sure
-)
+MAX_DRAWS = 300
+# Of draws: what differs by more than all but these may be no noise, and is none.
+RARE_DRAW_FRACTION = 0.01
+# Times beyond these, as the variance of the elements is not known for sure.
+UNCERTAIN_VARIANCE_FACTOR = 1.5
 SCALE_VARIANCE = 1e-9  # of the largest variance: below it only the scale is, which is no error
 
 
@@ -104,7 +101,7 @@ def scores(fit: Fit, variance: Array) -> Array:
     size, w = alpha * np.sqrt(variance), states.displacements
     readings, displacements = to_single(states.readings), to_single(w)
     found = []
-    for _ in range(int(np.clip(DRAW_WORK / n**3, MIN_DRAWS, MAX_DRAWS))):
+    for _ in range(int(np.clip(1e9 / n**3, 50, MAX_DRAWS))):
         noise = size * random.standard_normal(size.shape)
         pushed = to_single(noise) @ readings
         rigid = alpha * (used @ (used.T @ ((noise @ states.rigid_readings) / alpha)))

@@ -86,7 +86,7 @@ def places_of(layout: Layout, motion: Array | None = None) -> Places:
     read[on] = np.eye(places.n)
     if not on.all():
         at = np.stack([layout.x, layout.y]) / places.length
-        rows = np.concatenate([_plate(at[:, ~on], at[:, on])[0], _linear(at[:, ~on])], axis=1)
+        rows = _plate_rows(at[:, ~on], at[:, on], np.empty((layout.n - places.n, places.n + 3)))
         read[~on] = np.linalg.solve(_held_plate(at[:, on], at[:, on]).T, rows.T).T[:, : places.n]
     seen = (motion[..., on, :] @ read).reshape(-1, places.n, places.n)
     return replace(places, motion=seen[0], changes=seen[1:] if len(seen) > 1 else None)
@@ -126,7 +126,7 @@ def sight(places: Places, values: Values, *, slopes: bool) -> SensorModel:
     seen = at - values.offset / unit
     system, dx, dy = _held_plate(seen, at), *_plate(seen, at)[1:]
     rows = np.zeros((3, n, n + 3))
-    rows[0, :, :n], rows[0, :, n:] = _plate(at, at)[0], _linear(at)
+    _plate_rows(at, at, rows[0])
     rows[1, :, :n], rows[1, :, n + 1] = dx / unit, 1.0 / unit
     rows[2, :, :n], rows[2, :, n + 2] = dy / unit, 1.0 / unit
     solved = lu_solve(lu_factor(system, check_finite=False), rows.reshape(3 * n, -1).T, trans=1)
@@ -140,15 +140,9 @@ def seen_from(places: Places, offset: Array) -> Array:
         values = Values(np.zeros(places.n), np.zeros(places.n), offset)
         return sight(places, values, slopes=bool(offset.any())).motion
     n, at = places.n, np.stack([places.x, places.y]) / places.length
-    seen = at - offset / places.length
-    system, rows = np.zeros((n + 3, n + 3)), np.empty((n, n + 3))
-    for start in range(0, n, ROWS_AT_ONCE):
-        some = slice(start, min(start + ROWS_AT_ONCE, n))
-        system[some, :n], rows[some, :n] = (_plate(of[:, some], at)[0] for of in (seen, at))
-    system[:n, n], system[:n, n + 1 :] = 1.0, seen.T
-    system[n, :n], system[n + 1 :, :n] = 1.0, at
-    rows[:, n], rows[:, n + 1 :] = 1.0, at.T
+    system = _held_plate(at - offset / places.length, at)
     factors = lu_factor(system.T, overwrite_a=True, check_finite=False)
+    rows = _plate_rows(at, at, np.empty((n, n + 3)))
     return np.asarray(lu_solve(factors, rows.T, overwrite_b=True, check_finite=False).T[:, :n])
 
 
@@ -167,9 +161,19 @@ def _held_plate(seen: Array, centres: Array) -> Array:
     """Return (n + 3, n + 3) the equations of a plate held where (2, n) sensors see it."""
     n = seen.shape[1]
     system = np.zeros((n + 3, n + 3))
-    system[:n, :n], system[:n, n:] = _plate(seen, centres)[0], _linear(seen)
+    _plate_rows(seen, centres, system[:n])
     system[n:, :n] = _linear(centres).T
     return system
+
+
+def _plate_rows(of: Array, centres: Array, rows: Array) -> Array:
+    """Fill (m, n + 3) rows with what a plate is at places (2, m), some at a time; return them."""
+    m, n = of.shape[1], centres.shape[1]
+    for start in range(0, m, ROWS_AT_ONCE):
+        some = slice(start, min(start + ROWS_AT_ONCE, m))
+        rows[some, :n] = _plate(of[:, some], centres)[0]
+    rows[:, n:] = _linear(of)
+    return rows
 
 
 def _linear(of: Array) -> Array:

@@ -89,6 +89,7 @@ class Weights:
             rigid=self.rigid[some],
             bins=tuple(slice(*pair) for pair in itertools.pairwise(edges)),
             share=None if self.share is None else self.share[some, some],
+            exact=None if self.exact is None else self.exact[some, some],
         )
 
     @property
