@@ -90,10 +90,6 @@ class Effect:
         return self.remedy if isinstance(self.remedy, str) else self.remedy(fit)
 
 
-def _hour(within: WithinGroups) -> slice:
-    return slice(len(within.weight), len(within.weight) + 1)
-
-
 def _files(within: WithinGroups) -> slice:
     return slice(0, len(within.weight))
 
@@ -124,12 +120,18 @@ def _once(fit: FittedRows, field: Field, functions: RowFunctions, each: slice) -
     return found
 
 
-def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """Let alpha drift, of all together or of each: g = -c^ h, h the hours."""
+def by_hour(
+    fit: FittedRows, on: Callable[[FittedRows], OnReadings], *, each: bool
+) -> Derivative | None:
+    """Let alpha drift (`_gain`: g = -c^ h, h the hours) or the zero (g = h), of all or of each.
+
+    Zeros of the readings or bias magnets, no balance tells: readings and B move together.
+    """
     within = fit.moments.within
     if not np.any(within.square > 0):
         return None
-    return derivative_of(fit, _gain(fit), Sizes(_hour(within), each))
+    files = len(within.weight)
+    return derivative_of(fit, on(fit), Sizes(slice(files, files + 1), each))
 
 
 def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
@@ -174,17 +176,6 @@ def load_repositioned(fit: FittedRows) -> Derivative | None:
         return None
     sizes = Sizes(_files(within), each=True, direction=fit.scaled_arms[0])
     return derivative_of(fit, _zero(fit), sizes)
-
-
-def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """Let the zero of the readings drift, or the bias magnets, of all alike or of each.
-
-    Which of both it is, no balance tells: readings and B move together.
-    """
-    within = fit.moments.within
-    if not np.any(within.square > 0):
-        return None
-    return derivative_of(fit, _zero(fit), Sizes(_hour(within), each))
 
 
 def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
@@ -323,8 +314,9 @@ LOAD_REPOSITIONED = Effect(
 POSITIONS = Effect(Code.POSITIONS, "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (
-    Effect(Code.GAIN_BY_HOUR, "1/h", partial(gain_by_hour, each=False), _WARM),
-    Effect(Code.GAIN_BY_HOUR_OF_EACH, "1/h", partial(gain_by_hour, each=True), _WARM, "actuator"),
+    Effect(Code.GAIN_BY_HOUR, "1/h", partial(by_hour, on=_gain, each=False), _WARM),
+    Effect(Code.GAIN_BY_HOUR_OF_EACH, "1/h", partial(by_hour, on=_gain, each=True), _WARM,
+           "actuator"),
     Effect(Code.GAIN_BY_FILE, "", partial(gain_by_file, single=False), _WARM, "file"),
     Effect(Code.GAIN_BY_FILE_OF_SINGLE, "", partial(gain_by_file, single=True), _DRIVER,
            "actuator"),
@@ -332,8 +324,9 @@ CATALOGUE: tuple[Effect, ...] = (
            lambda fit: fit.moments.displacement is not None),
     Effect(Code.WEIGHT_OF_LOAD, "N", weight_of_load, "weigh mirror and loads anew", "load",
            lambda _: False),
-    Effect(Code.ZERO_BY_HOUR, "N/h", partial(zero_by_hour, each=False), _ZERO),
-    Effect(Code.ZERO_BY_HOUR_OF_EACH, "N/h", partial(zero_by_hour, each=True), _ZERO, "actuator"),
+    Effect(Code.ZERO_BY_HOUR, "N/h", partial(by_hour, on=_zero, each=False), _ZERO),
+    Effect(Code.ZERO_BY_HOUR_OF_EACH, "N/h", partial(by_hour, on=_zero, each=True), _ZERO,
+           "actuator"),
     Effect(Code.ZERO_BY_FILE, "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,
     Effect(Code.QUADRATIC_COIL, "1/N", partial(power_of_force, power=2, each=False), _QUADRATIC),

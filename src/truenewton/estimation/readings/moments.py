@@ -214,11 +214,6 @@ class WithinGroups:
         """(files + 1, g) weighted sums of h."""
         return np.vstack([self.weight, self.hour.sum(axis=0)])
 
-    @property
-    def second(self) -> Array:
-        """(files + 1, g) weighted sums of h^2."""
-        return np.vstack([self.weight, self.square])
-
     def products(self, index: int) -> Array:
         """Return (files + 1, g) weighted sums of h times one of the h."""
         files = len(self.weight)

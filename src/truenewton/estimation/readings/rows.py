@@ -198,14 +198,17 @@ class BlockRows:
     def without(self, lost: NDArray[np.bool_]) -> BlockRows:
         """Return the rows that are not (m,) lost."""
         at = np.arange(len(lost)) if isinstance(self.at, slice) else self.at
-        kept = ~lost
+        return self.only(~lost, at[~lost])
+
+    def only(self, some: slice | NDArray[np.bool_], at: slice | NDArray[np.int64]) -> BlockRows:
+        """Return some of the rows, which have (m,) groups ``at``."""
         return replace(
             self,
-            row=self.row[kept],
-            at=at[kept],
-            hour=self.hour[kept],
-            sampled=self.sampled[kept],
-            printed=self.printed[kept],
+            row=self.row[some],
+            at=at,
+            hour=self.hour[some],
+            sampled=self.sampled[some],
+            printed=self.printed[some],
         )
 
 
@@ -222,14 +225,8 @@ class DistinctRows:
         if first == end:
             return None
         whole = end - first == block.stop - block.start
-        return replace(
-            self.rows,
-            row=self.rows.row[first:end],
-            at=slice(None) if whole else self.group[first:end] - block.start,  # a slice: no copy
-            hour=self.rows.hour[first:end],
-            sampled=self.rows.sampled[first:end],
-            printed=self.rows.printed[first:end],
-        )
+        at = slice(None) if whole else self.group[first:end] - block.start  # a slice: no copy
+        return self.rows.only(slice(first, end), at)
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
