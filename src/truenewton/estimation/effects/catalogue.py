@@ -47,7 +47,6 @@ WITHIN = {
 }
 MAX_AFFECTED_FRACTION = 0.1  # of the actuators: beyond it is no matter of single ones
 ACTUATORS_AT_ONCE = 64  # actuators whose parameters are judged together
-FIRST_FUNCTION = slice(0, 1)  # of one function
 
 
 @dataclass(frozen=True)
@@ -103,19 +102,19 @@ def _gain(fit: FittedRows) -> OnReadings:
     of_load, weight = fit.moments.of_load, fit.moments.weight
     loads = (of_load - weight @ of_load / weight.sum()).T[1:]
     functions = row_functions(fit.moments, loads)
-    return _once(fit, GAIN, functions, slice(0, functions.within))
+    return _once(fit, GAIN, functions, functions.within)
 
 
 def _zero(fit: FittedRows) -> OnReadings:
     """Return what g = h does, h by file and by hour, of each actuator as well."""
     functions = row_functions(fit.moments, np.empty((0, len(fit.moments.mean))))
-    return _once(fit, ZERO, functions, slice(0, functions.within))
+    return _once(fit, ZERO, functions, functions.within)
 
 
-def _once(fit: FittedRows, field: Field, functions: RowFunctions, each: slice) -> OnReadings:
+def _once(fit: FittedRows, field: Field, functions: RowFunctions, k: int) -> OnReadings:
     """Return what effects do that share a field."""
     if field.name not in fit.found:
-        fit.found[field.name] = on_readings(fit, functions, field, each)
+        fit.found[field.name] = on_readings(fit, functions, field, k)
     found: OnReadings = fit.found[field.name]
     return found
 
@@ -185,8 +184,8 @@ def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
         c = at.recorded(some)
         return -c * (c if power == 2 else c * c)
 
-    found = _once(fit, Field(f"power {power}", bent), always(fit.moments), FIRST_FUNCTION)
-    return derivative_of(fit, found, Sizes(FIRST_FUNCTION, each))
+    found = _once(fit, Field(f"power {power}", bent), always(fit.moments), 1)
+    return derivative_of(fit, found, Sizes(each=each))
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
@@ -195,7 +194,7 @@ def coil_gradient(fit: FittedRows) -> Derivative | None:
     if z is None:
         return None
     field = Field("gradient", lambda at, some: -at.recorded(some) * z[:, some])
-    return derivative_of(fit, on_readings(fit, always(fit.moments), field), Sizes(FIRST_FUNCTION))
+    return derivative_of(fit, on_readings(fit, always(fit.moments), field), Sizes())
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:

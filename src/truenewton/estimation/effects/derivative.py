@@ -125,12 +125,12 @@ class FittedRows:
         noise = self.problem.noise
         return np.asarray(np.sqrt(noise.share) * (self.root @ (self.scaled_arms * noise.variance)))
 
-    def recorded(self, some: slice = slice(None)) -> Array:
+    def recorded(self, some: slice) -> Array:
         """Return (g, b) c^ as recorded, with what is being taken out: coils bend by that [N]."""
         removed = self.removed if isinstance(self.removed, float) else self.removed[:, some]
         return self.fitted(some) + removed
 
-    def noise_covariance(self, some: slice | NDArray[np.intp] = slice(None)) -> Array:
+    def noise_covariance(self, some: slice | NDArray[np.intp]) -> Array:
         """Return (b, n) V of the noise that fitted rows carry still, of some actuators [N^2]."""
         rows = np.arange(self.problem.n)[some]
         covariance = np.asarray(-self.taken[:, some].T @ self.taken)

@@ -15,7 +15,7 @@ parameters, the others none, so that alpha is no less sure for what might have h
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,7 @@ GAIN = Field("gain", lambda fit, some: -fit.recorded(some), gain=True)
 
 @dataclass(frozen=True, eq=False)
 class OnReadings:
-    """What an effect on readings does, for K functions h, for k of them with a size of each.
+    """What an effect on readings does, for K functions h, for the first k with a size of each.
 
     Attributes
     ----------
@@ -104,8 +104,6 @@ class OnReadings:
         (R, 3, K) J, were its parameters those of all actuators.
     score, information
         (K,) and (K, K) of what pooled rows leave, then.
-    each
-        Which of the functions each actuator may have a size of its own of.
     each_score, each_information
         (k, n) and (k, k, n) of each actuator.
     each_square, each_pull
@@ -118,17 +116,14 @@ class OnReadings:
     jacobian: Array
     score: Array
     information: Array
-    each: slice
     each_score: Array
     each_information: Array
     each_square: Array
     each_pull: Array
 
 
-def on_readings(
-    fit: FittedRows, functions: RowFunctions, field: Field, each: slice = slice(0, 0)
-) -> OnReadings:
-    """Return what an effect on readings does.
+def on_readings(fit: FittedRows, functions: RowFunctions, field: Field, k: int = 0) -> OnReadings:
+    """Return what an effect on readings does; of the first k functions actuator by actuator.
 
     Between groups e is taken at the fit; within them, where a gain changes, it is -c_mean.
     """
@@ -138,7 +133,6 @@ def on_readings(
     kinds: dict[bytes, int] = {}
     kind = np.array([kinds.setdefault(h.tobytes(), len(kinds)) for h in mean])
     pools = [moments.pooling.weighed(np.frombuffer(h)) for h in kinds]
-    k = each.stop - each.start
     told, square, own_square, pulled = np.zeros(g), np.zeros(g), np.zeros(g), np.zeros((g, 3))
     between = np.zeros((len(kinds), len(kinds)))
     each_score, each_pull = np.zeros((k, n)), np.zeros((3, k, n))
@@ -150,7 +144,7 @@ def on_readings(
             off = e * fit.apart(some)
             told += off @ weights[some]
             if k:
-                each_score[:, some] = -(first[each] @ off)
+                each_score[:, some] = -(first[:k] @ off)
         weigh, arms = weights[some], fit.scaled_arms[:, some]
         if e.shape[1] == 1:  # the same for all actuators: once
             if some.start:
@@ -163,7 +157,7 @@ def on_readings(
         flat = (len(kinds), -1)
         between += (rows * weigh).reshape(flat) @ rows.reshape(flat).T
         if k:
-            mine = rows[kind[each]]
+            mine = rows[kind[:k]]
             each_square[:, :, some] = np.einsum("krb,lrb->klb", mine, mine)
             each_pull[:, :, some] = np.moveaxis(white_rho.T @ mine, 1, 0)
         if not fit.independent:
@@ -174,9 +168,9 @@ def on_readings(
         if own is not None:
             own_square += own @ weigh
         if k:
-            spread = np.stack([(mean[each] * h) @ e_squared for h in first[each]])
+            spread = np.stack([(mean[:k] * h) @ e_squared for h in first[:k]])
             if own is not None:
-                spread += _apart(moments, functions, each, own)
+                spread += _apart(moments, functions, k, own)
             each_information[:, :, some] = spread
     noise = fit.problem.noise.variance
     score, information = np.zeros(len(first)), np.zeros((len(first),) * 2)
@@ -185,15 +179,14 @@ def on_readings(
         score -= first @ told
         information += (mean * square) @ first.T - between[kind][:, kind]
         if functions.within:
-            every = slice(0, len(first))
-            information += _apart(moments, functions, every, own_square[:, None])[:, :, 0]
+            information += _apart(moments, functions, len(first), own_square[:, None])[:, :, 0]
             sums = field.sums(within)
             score[: functions.within] -= sums @ weights
             if k:
-                each_score -= sums[each]
+                each_score -= sums[:k]
     jacobian = np.stack([pool @ pulled for pool in pools], axis=2)[:, :, kind]
     return OnReadings(
-        functions, field, -jacobian, score, information, each, each_score / noise,
+        functions, field, -jacobian, score, information, each_score / noise,
         each_information / noise, each_square, each_pull,
     )  # fmt: skip
 
@@ -210,18 +203,16 @@ def means(moments: Moments, functions: RowFunctions) -> Array:
     return np.asarray(functions.first / np.where(moments.weight > 0, moments.weight, 1.0))
 
 
-def _apart(moments: Moments, functions: RowFunctions, chosen: slice, own: Array) -> Array:
-    """Return sums of products of K chosen h, less those of their means, times (g, b) values.
+def _apart(moments: Moments, functions: RowFunctions, k: int, own: Array) -> Array:
+    """Return sums of products of the first k h, less those of their means, times (g, b) values.
 
-    (K, K, b); 0 for those that are the same for all rows of a group.
+    (k, k, b); 0 for those that are the same for all rows of a group.
     """
-    k, within = chosen.stop - chosen.start, moments.within
-    apart = np.zeros((k, k, own.shape[1]))
-    some = slice(chosen.start, min(chosen.stop, functions.within))
-    mean, counted = means(moments, functions)[some], moments.weight > 0
-    for row, at in enumerate(range(some.start, some.stop)):
-        products = within.products(at)[some] * counted - mean * functions.first[at]
-        apart[row, : len(mean)] = products @ own
+    apart, some = np.zeros((k, k, own.shape[1])), min(k, functions.within)
+    mean, counted = means(moments, functions)[:some], moments.weight > 0
+    for row in range(some):
+        products = moments.within.products(row)[:some] * counted - mean * functions.first[row]
+        apart[row, :some] = products @ own
     return apart
 
 
@@ -243,7 +234,7 @@ class Sizes:
         (n,) sizes of each along which nothing happens, if there is such a one.
     """
 
-    functions: slice
+    functions: slice = field(default_factory=lambda: slice(0, 1))
     each: bool = False
     mix: Array | None = None
     actuators: NDArray[np.intp] | None = None
@@ -289,11 +280,10 @@ def derivative_of(fit: FittedRows, effect: OnReadings, sizes: Sizes) -> Derivati
             information=mix.T @ effect.information[chosen, chosen] @ mix,
             feigns=feigned,
         )
-    here = slice(chosen.start - effect.each.start, chosen.stop - effect.each.start)
     arms = fit.scaled_arms[:, some]
     pulled = fit.root @ arms
-    pull = mix.T @ effect.each_pull[:, here][:, :, some]
-    square = np.einsum("kkn->kn", mixed(mix, effect.each_square[here, here][:, :, some]))
+    pull = mix.T @ effect.each_pull[:, chosen][:, :, some]
+    square = np.einsum("kkn->kn", mixed(mix, effect.each_square[chosen, chosen][:, :, some]))
 
     def rows() -> Array:
         h = mix.T @ means(fit.moments, effect.functions)[chosen]
@@ -312,8 +302,8 @@ def derivative_of(fit: FittedRows, effect: OnReadings, sizes: Sizes) -> Derivati
             score=-np.sum(pulled[:, None] * pull, axis=0).ravel(),
             whole=(np.sum(pulled**2, axis=0) * square).ravel(),
         ),
-        score=(mix.T @ effect.each_score[here])[:, some].ravel(),
-        information=mixed(mix, effect.each_information[here, here])[:, :, some],
+        score=(mix.T @ effect.each_score[chosen])[:, some].ravel(),
+        information=mixed(mix, effect.each_information[chosen, chosen])[:, :, some],
         feigns=feigned,
         actuators=sizes.actuators,
         direction=sizes.direction,
@@ -364,9 +354,8 @@ def chi2_of_each(score: Array, information: Array) -> tuple[Array, NDArray[np.in
 
 def standing_out(effect: OnReadings, chosen: slice, mix: Array) -> NDArray[np.intp]:
     """Return whose scores chance does not make, of some functions with a (K, K) mix of sizes."""
-    here = slice(chosen.start - effect.each.start, chosen.stop - effect.each.start)
-    information = mixed(mix, effect.each_information[here, here])
+    information = mixed(mix, effect.each_information[chosen, chosen])
     if not information.any():
         return np.empty(0, dtype=np.intp)
-    chance = chi2_sf(*chi2_of_each(mix.T @ effect.each_score[here], information))
+    chance = chi2_sf(*chi2_of_each(mix.T @ effect.each_score[chosen], information))
     return np.flatnonzero(chance < CHANCE_OF_ANY_ACTUATOR / len(chance))

@@ -20,7 +20,6 @@ import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.estimation.effects.catalogue import (
-    FIRST_FUNCTION,
     POSITIONS,
     on_balance,
     parts_of_positions,
@@ -60,8 +59,7 @@ def static_gain(fit: FittedRows) -> Derivative | None:
         return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
 
     field = Field("elastic", elastic)
-    effect = on_readings(fit, always(moments), field, FIRST_FUNCTION)
-    return derivative_of(fit, effect, Sizes(FIRST_FUNCTION, each=True))
+    return derivative_of(fit, on_readings(fit, always(moments), field, 1), Sizes(each=True))
 
 
 def borne(fit: FittedRows) -> Derivative:
