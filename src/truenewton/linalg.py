@@ -220,15 +220,20 @@ def inverse_of_positive(matrix: Array, *, overwrite: bool = False) -> Array:
     scaled = matrix if overwrite else matrix.copy()
     scaled /= size
     scaled /= size[:, None]
-    single = scaled.dtype == np.float32
-    potrf, potri = (spotrf, spotri) if single else (dpotrf, dpotri)
+    potrf = spotrf if scaled.dtype == np.float32 else dpotrf
     factor, fails = potrf(scaled.T, lower=True, overwrite_a=True, clean=False)
     if fails:
         raise np.linalg.LinAlgError("the matrix is not positive definite")
-    inverse = mirrored(potri(factor, lower=True, overwrite_c=True)[0].T)
+    inverse = inverse_of_factor(factor)
     inverse /= size
     inverse /= size[:, None]
     return inverse
+
+
+def inverse_of_factor(factor: Array) -> Array:
+    """Return the inverse of (n, n) L L', in place of L if that is in the order of Fortran."""
+    potri = spotri if factor.dtype == np.float32 else dpotri
+    return mirrored(potri(factor, lower=True, overwrite_c=True)[0].T)
 
 
 @dataclass(frozen=True, eq=False)

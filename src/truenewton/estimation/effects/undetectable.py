@@ -19,11 +19,7 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
-from truenewton.estimation.effects.catalogue import (
-    POSITIONS,
-    on_balance,
-    parts_of_positions,
-)
+from truenewton.estimation.effects.catalogue import POSITIONS, on_balance, parts_of_positions
 from truenewton.estimation.effects.correction import correction, with_error
 from truenewton.estimation.effects.derivative import Derivative, FittedRows, scored
 from truenewton.estimation.effects.examination import ExaminedFit

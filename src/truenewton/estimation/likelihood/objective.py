@@ -27,13 +27,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 from scipy.linalg.blas import dsyrk
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.likelihood.minimum import DataSet, Minimum, NoiseInformation, Prior
 from truenewton.estimation.readings.moments import ShapeSums
-from truenewton.linalg import ROWS_AT_ONCE, mirrored
+from truenewton.linalg import ROWS_AT_ONCE, inverse_of_factor, mirrored
 
 MAX_LIKELIHOOD_STEPS = 60
 CONVERGED_SQUARED_STEP = 1e-10  # squared step in standard errors at which the iteration ends
@@ -261,7 +261,7 @@ def _minimum(
     n, t = len(terms.noise_information.diagonal), len(values) - prior.measured
     if factor is None or np.abs(values[:n]).max() > MAX_ALPHA:  # where weights count for nothing
         raise _no_more_than_noise()
-    inverse = mirrored(dpotri(factor[:t, :t], lower=True, overwrite_c=True)[0].T)
+    inverse = inverse_of_factor(factor[:t, :t])
     m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
     turn = inverse @ m_tu
     left = _not_negative(m_uu - m_tu.T @ turn)

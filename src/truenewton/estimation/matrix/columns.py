@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
@@ -29,6 +28,7 @@ from truenewton.estimation.likelihood.minimum import (
 )
 from truenewton.estimation.matrix.column_noise import ColumnNoise, likeliest_noise
 from truenewton.estimation.matrix.facts import ElasticModes
+from truenewton.linalg import inverse_of_positive
 
 MIN_VARIANCE_SHARE = 0.01  # part of a variance that a fit leaves at least
 
@@ -155,14 +155,12 @@ def inverse_information(terms: Terms, prior: Array, feigned: Array) -> Array:
     matrix = terms.m.copy()
     matrix[:n, :n] += prior - feigned + np.trace(terms.m[:n, :n]) / n**2
     try:
-        factor = scipy.linalg.cho_factor(matrix, lower=True)
-        return np.asarray(scipy.linalg.cho_solve(factor, np.eye(n + 9)))
+        return inverse_of_positive(matrix, overwrite=True)
     except np.linalg.LinAlgError:
-        pass
-    raise RankDeficient(
-        "alpha is not unique: two patterns balance the columns almost equally well",
-        remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
-    )
+        raise RankDeficient(
+            "alpha is not unique: two patterns balance the columns almost equally well",
+            remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
+        ) from None
 
 
 SETTLED_ALPHA_STEP = 0.02  # rms step in terms of the rms error at which alpha has settled

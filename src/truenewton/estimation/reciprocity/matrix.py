@@ -15,12 +15,7 @@ from truenewton.estimation.findings.estimate import Estimate
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.facts import ElasticModes, MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
-from truenewton.estimation.matrix.modes import (
-    EVEN_MODES,
-    ODD_MODES,
-    Imbalance,
-    imbalances_of,
-)
+from truenewton.estimation.matrix.modes import EVEN_MODES, ODD_MODES, Imbalance, imbalances_of
 from truenewton.estimation.matrix.order import MAX_SYMMETRISED_ASYMMETRY, balance_effects
 from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.estimation.reciprocity.acceptance import (
