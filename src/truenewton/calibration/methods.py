@@ -165,7 +165,9 @@ METHODS = {
         lambda screened, known: reciprocity_of_campaign.find(screened, known.motion), _reciprocal
     ),
     "auto": Method(
-        lambda screened, known: reciprocity_of_campaign.find_where_it_holds(screened, known.motion),
+        lambda screened, known: reciprocity_of_campaign.find(
+            screened, known.motion, where_it_holds=True
+        ),
         _where_reciprocity_holds,
     ),
 }

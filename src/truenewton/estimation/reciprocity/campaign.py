@@ -56,7 +56,11 @@ IMPROBABLE_FIT = 1e-3  # of a fit: beyond, errors grow by what it leaves
 
 
 def find(
-    screened: ScreenedCampaign, motion: Array | None = None, asked: Request = START_REQUEST
+    screened: ScreenedCampaign,
+    motion: Array | None = None,
+    asked: Request = START_REQUEST,
+    *,
+    where_it_holds: bool = False,
 ) -> Estimate:
     """Find alpha and the sensors of a campaign; what speaks against them is among the warnings.
 
@@ -68,32 +72,18 @@ def find(
         (n, n) or (6, n, n) what a model of the glass tells of the sensors (`sight.places_of`).
     asked
         Of the sensors.
+    where_it_holds
+        Where reciprocity does not hold, return the estimate by `ml`, which says why.
 
     Raises
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
     base = campaign_ml.find(screened)
-    with advising_ml():
-        estimate, against = _found(screened, base, motion, asked)
-    return with_warnings(estimate, doubts(against))
-
-
-def find_where_it_holds(screened: ScreenedCampaign, motion: Array | None = None) -> Estimate:
-    """Find alpha as `find` does where reciprocity holds, else by `ml`, which says why.
-
-    Parameters
-    ----------
-    screened
-        The campaign.
-    motion
-        (n, n) or (6, n, n) as for `find`.
-
-    Raises
-    ------
-    RankDeficient, TooManyOutliers, NotConverged
-    """
-    base = campaign_ml.find(screened)
+    if not where_it_holds:
+        with advising_ml():
+            estimate, against = _found(screened, base, motion, asked)
+        return with_warnings(estimate, doubts(against))
     if screened.moments.displacement is None:
         return base
     if base.effects:
@@ -102,7 +92,7 @@ def find_where_it_holds(screened: ScreenedCampaign, motion: Array | None = None)
         untried = Finding.of(Code.EFFECT_PRESENT, effect=f"{first.name}{alone}")
         return with_warnings(base, instead([untried]))
     try:
-        estimate, against = _found(screened, base, motion, START_REQUEST)
+        estimate, against = _found(screened, base, motion, asked)
     except (RankDeficient, NotConverged) as error:
         against = (failed(error),)
     return with_warnings(base, instead(against)) if against else estimate

@@ -168,17 +168,14 @@ def examined(modes: Modes, asked: Request = START_REQUEST) -> MatrixEvidence:
     halves = _halves(modes, joint, noise, doubtful=doubtful)
     tell("reciprocity, against the balance", 0.8)
     try:
-        apart_by, ways, unequal = _against_balance(modes, joint, noise, halves, doubtful=doubtful)
+        evidence, ways, unequal = _against_balance(modes, joint, noise, halves, doubtful=doubtful)
     except (RankDeficient, NotConverged):
         # Where balance alone gives no alpha, nothing speaks against reciprocity.
-        apart_by, unequal = (np.nan,) * 3, 1.0
+        evidence, unequal = Evidence(), 1.0
         ways = (np.full(modes.places.n, np.nan),) * 2
-    by_balance, between, as_stated = apart_by
-    evidence = Evidence(
+    evidence = replace(
+        evidence,
         held_out=_unseen(halves.imbalances),
-        by_balance=by_balance,
-        apart=between,
-        as_stated=as_stated,
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
@@ -238,17 +235,11 @@ def _halves(modes: Modes, joint: Fit, noise: Noise, *, doubtful: bool) -> Halves
 
 def _against_balance(
     modes: Modes, joint: Fit, noise: Noise, halves: Halves, *, doubtful: bool
-) -> tuple[tuple[float, float, float], tuple[Array, Array], float]:
+) -> tuple[Evidence, tuple[Array, Array], float]:
     """Fit balance alone and reciprocity alone.
 
-    Returns
-    -------
-    by_balance, apart, as_stated
-        For the `Evidence`.
-    ways
-        (n,) log alpha by each.
-    excess
-        Variance between them over that of noise.
+    Return what they say of each other, (n,) log alpha by each, and the variance between them over
+    that of noise.
     """
     alone = [  # alpha only: the balance knows nothing of sensors
         each.fit(Request(), balance=True, start=joint.values)
@@ -265,7 +256,7 @@ def _against_balance(
     if noise.variance is not None:  # what the fits state is not their error
         between = beyond_noise(pair, drawn, alike=False, doubtful=True)
     ways = (pair[0].values.log_alpha, pair[1].values.log_alpha)
-    return (by_balance, between, as_stated), ways, excess
+    return Evidence(by_balance=by_balance, apart=between, as_stated=as_stated), ways, excess
 
 
 def _of_one(halves: tuple[Values, Values], kind: Kind) -> float:
