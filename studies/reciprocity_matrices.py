@@ -84,7 +84,7 @@ def gate(seeds):
             alone = np.nan
             try:
                 alone = np.std(modes.fit(Request(), balance=True).values.log_alpha - truth)
-                found = examined(modes, START_REQUEST)
+                found = examined(modes)
             except TrueNewtonError:
                 rows.append((np.nan, alone, np.nan, False))
                 continue

@@ -146,7 +146,7 @@ def disagreement(one: Fit, other: Fit) -> float:
     return max(1.0, len(difference) * float(np.var(difference)) / stated)
 
 
-def apart(one: Fit, other: Fit, excess: float = 1.0, other_excess: float = 1.0) -> float:
+def apart(one: Fit, other: Fit, excess: float, other_excess: float) -> float:
     """Return chi2 per degree of freedom between the log alpha of two independent fits.
 
     Their covariances are so much larger than stated.

@@ -56,11 +56,7 @@ IMPROBABLE_FIT = 1e-3  # of a fit: beyond, errors grow by what it leaves
 
 
 def find(
-    screened: ScreenedCampaign,
-    motion: Array | None = None,
-    asked: Request = START_REQUEST,
-    *,
-    where_it_holds: bool = False,
+    screened: ScreenedCampaign, motion: Array | None = None, *, where_it_holds: bool = False
 ) -> Estimate:
     """Find alpha and the sensors of a campaign; what speaks against them is among the warnings.
 
@@ -70,8 +66,6 @@ def find(
         Cycles with POSITION, under two loads at least.
     motion
         (n, n) or (6, n, n) what a model of the glass tells of the sensors (`sight.places_of`).
-    asked
-        Of the sensors.
     where_it_holds
         Where reciprocity does not hold, return the estimate by `ml`, which says why.
 
@@ -82,7 +76,7 @@ def find(
     base = campaign_ml.find(screened)
     if not where_it_holds:
         with advising_ml():
-            estimate, against = _found(screened, base, motion, asked)
+            estimate, against = _found(screened, base, motion)
         return with_warnings(estimate, doubts(against))
     if screened.moments.displacement is None:
         return base
@@ -92,14 +86,14 @@ def find(
         untried = Finding.of(Code.EFFECT_PRESENT, effect=f"{first.name}{alone}")
         return with_warnings(base, instead([untried]))
     try:
-        estimate, against = _found(screened, base, motion, asked)
+        estimate, against = _found(screened, base, motion)
     except (RankDeficient, NotConverged) as error:
         against = (failed(error),)
     return with_warnings(base, instead(against)) if against else estimate
 
 
 def _found(
-    screened: ScreenedCampaign, base: Estimate, motion: Array | None, asked: Request
+    screened: ScreenedCampaign, base: Estimate, motion: Array | None
 ) -> tuple[Estimate, tuple[Finding, ...]]:
     """Return the estimate, and what speaks against it; ``base`` is that of `ml`."""
     campaign, moments = screened.sound, _balancing(screened, base)
@@ -116,7 +110,7 @@ def _found(
     keep, odd = kept(stiffness.stiffness)
     places = kept_places(places_of(layout, motion), keep, stiffness.stiffness)
     stiffness = condensed_regression(stiffness, keep)
-    fitted = fit(places, asked, stiffness.states, start=_near(base, keep))
+    fitted = fit(places, START_REQUEST, stiffness.states, start=_near(base, keep))
     goodness = _goodness(fitted, stiffness)
     excess = goodness.reduced if goodness.probability < IMPROBABLE_FIT else 1.0
     force = moments.sums.force.sum(axis=1) / moments.sums.weight

@@ -150,7 +150,7 @@ class MatrixEvidence:
     evidence: Evidence
 
 
-def examined(modes: Modes, asked: Request = START_REQUEST) -> MatrixEvidence:
+def examined(modes: Modes) -> MatrixEvidence:
     """Fit all modes and every second one, by balance and reciprocity together and apart.
 
     Noise and scatter of the sensors are those of the fit to all, except by balance alone.
@@ -160,7 +160,7 @@ def examined(modes: Modes, asked: Request = START_REQUEST) -> MatrixEvidence:
     RankDeficient, NotConverged
     """
     tell("reciprocity", 0.02)
-    joint = modes.fit(asked)
+    joint = modes.fit(START_REQUEST)
     tell("reciprocity, the noise", 0.5)
     noise = noise_of(modes.stiffness, joint, modes.places)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS_OFFSET
