@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from truenewton.bench.simulated.truth import TRUTH
+from truenewton.calibration.export import CALIBRATIONS
 from truenewton.calibration.file import CALIBRATION
-from truenewton.calibration.written import CALIBRATIONS
 from truenewton.estimation.findings import thresholds
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN

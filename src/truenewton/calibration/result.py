@@ -191,7 +191,7 @@ class Calibration:
         )
 
     def _repr_html_(self) -> str:
-        from truenewton.calibration.words import headline, summary_rows, warning_lines
+        from truenewton.calibration.summary import headline, summary_rows, warning_lines
 
         rows = [*summary_rows(self), ("verdict", str(self.verdict.level), "")]
         remarks = warning_lines(self.verdict.faults)
@@ -271,7 +271,7 @@ class Calibration:
         ------
         OutputExists, OutputFailed
         """
-        from truenewton.calibration.written import write_calibration
+        from truenewton.calibration.export import write_calibration
 
         write_calibration(self, path, overwrite=overwrite)
 

@@ -17,8 +17,7 @@ from truenewton.calibration.methods import (
     seen_of,
 )
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.verdict import Verdict, no_alpha
-from truenewton.calibration.words import (
+from truenewton.calibration.summary import (
     rejected_lines,
     rejected_values,
     row,
@@ -26,6 +25,7 @@ from truenewton.calibration.words import (
     summary_values,
     verdict_lines,
 )
+from truenewton.calibration.verdict import Verdict, no_alpha
 from truenewton.errors import (
     Fault,
     FormatError,

@@ -107,7 +107,7 @@ def verdict_on_parts(c: Parts[Calibration]) -> Verdict:
     It can be used as far as a segment can.
     """
     of_each = {number: one.verdict for number, one in c.found.items()}
-    of_each |= {number: no_alpha(faults) for number, faults in c.refused.items()}
+    of_each |= {number: no_alpha(faults) for number, faults in c.failed.items()}
     every = [(n, each) for n, one in sorted(of_each.items()) for each in one.faults]
     whole = judged(list(_of_segments(every)))
     levels = [one.level for one in of_each.values()]
@@ -166,7 +166,7 @@ def without_unusable(c: Parts[Calibration]) -> Parts[Calibration]:
         for n, (first, *others) in out.items()
     }
     kept = {number: one for number, one in c.found.items() if number not in out}
-    return replace(c, found=kept, refused={**c.refused, **named})
+    return replace(c, found=kept, failed={**c.failed, **named})
 
 
 def usable(calibration: AnyCalibration, *, force: bool, path: object = None) -> AnyCalibration:
@@ -192,10 +192,10 @@ def usable(calibration: AnyCalibration, *, force: bool, path: object = None) -> 
     kept = calibration if force else without_unusable(calibration)
     if path is not None:
         lacking = {}
-        for number, ((fault, remedy), *_) in kept.refused.items():
+        for number, ((fault, remedy), *_) in kept.failed.items():
             anyway = f"; {REGARDLESS}" if number in calibration.found else ""
             lacking[number] = (Fault(f"{path} gives no alpha: {fault}", remedy + anyway),)
-        kept = replace(kept, refused=lacking)
+        kept = replace(kept, failed=lacking)
     return kept
 
 

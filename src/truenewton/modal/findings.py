@@ -201,7 +201,7 @@ class ModalFindings:
         return f"<ModalFindings of {base.matrix.instrument}: {base.modes.stiffness.size} modes>"
 
     def _repr_html_(self) -> str:
-        from truenewton.calibration.words import warning_lines
+        from truenewton.calibration.summary import warning_lines
         from truenewton.modal.summary import headline, summary_rows
 
         rows = [row for row in summary_rows(self) if row[1]]
@@ -428,8 +428,8 @@ def _of_segments(
         raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
-        if calibration is not None and number in calibration.refused:
-            fault, remedy = calibration.refused[number][0]
+        if calibration is not None and number in calibration.failed:
+            fault, remedy = calibration.failed[number][0]
             raise RankDeficient(fault, remedy=remedy)
         here = data.of(number)
         own = pupil_of(layout.part(here)).radius

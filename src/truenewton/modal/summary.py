@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.words import row, warning_lines
+from truenewton.calibration.summary import row, warning_lines
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
@@ -156,7 +156,7 @@ def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> lis
     """Return the lines of the summary, of several segments one after the other."""
     if has_parts(findings):
         of_each = {number: lines(one, limits) for number, one in findings.found.items()}
-        for number, fault, remedy in findings.refusals:
+        for number, fault, remedy in findings.failures:
             of_each[number] = [f"segment {number}: no modes: {fault}; {remedy}"]
         return [line for number in findings.numbers for line in of_each[number]]
     return [
@@ -229,7 +229,7 @@ def values(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> di
     """Return the values for a script."""
     if has_parts(findings):
         of_each = {number: values(one, limits) for number, one in findings.found.items()}
-        for number, (fault, *_) in findings.refused.items():
+        for number, (fault, *_) in findings.failed.items():
             of_each[number] = {"fault": fault._asdict()}
         return {"segments": [{"segment": k} | of_each[k] for k in findings.numbers]}
     base, measured = findings.after, findings.measured

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from truenewton.arrays import Array, spread
+from truenewton.calibration.export import CALIBRATIONS
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import REGARDLESS, Verdict, judged, refuse_unusable
-from truenewton.calibration.written import CALIBRATIONS
 from truenewton.errors import FormatError, NotToBeUsed
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import ErrorKind, ErrorSource, Scale

@@ -72,13 +72,13 @@ class InParts(Generic[Part]):
         The mirror.
     layout
         The n actuators of all segments.
-    refused
+    failed
         Why segments have no part, each with its remedy, by number.
     """
 
     instrument: str
     layout: Layout
-    refused: Mapping[int, Faults] = field(default_factory=dict, kw_only=True)
+    failed: Mapping[int, Faults] = field(default_factory=dict, kw_only=True)
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -95,8 +95,8 @@ class InParts(Generic[Part]):
         RankDeficient
             It has no part; the message says why.
         """
-        if number in self.refused:
-            fault, remedy = self.refused[number][0]
+        if number in self.failed:
+            fault, remedy = self.failed[number][0]
             raise RankDeficient(f"segment {number} gave no alpha: {fault}", remedy=remedy)
         require_segment(number, self.numbers)
         return self._part(number)
@@ -117,7 +117,7 @@ class InParts(Generic[Part]):
     ) -> Parts[Result]:
         """Return what a function gives of each part.
 
-        A part of which it raises one of `errors` is refused, and does not harm the others.
+        A part of which it raises one of `errors` has failed, and does not harm the others.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class InParts(Generic[Part]):
         executor: Executor | None = None,
     ) -> Parts[Result]:
         """Return the same, of a function for each number; ``what`` names its result."""
-        numbers = [number for number in self.numbers if number not in self.refused]
+        numbers = [number for number in self.numbers if number not in self.failed]
 
         def pairs() -> Iterator[tuple[Callable[[Part], Result], Part] | Fault]:
             for number in numbers:
@@ -154,19 +154,19 @@ class InParts(Generic[Part]):
 
         answers = (map if executor is None else executor.map)(_attempt, pairs())
         found: dict[int, Result] = {}
-        refused = dict(self.refused)
+        failed = dict(self.failed)
         told = telling_of(answers, len(numbers), "segments")
         for number, answer in zip(numbers, told, strict=True):
             if isinstance(answer, Fault):
-                refused[number] = (answer,)
+                failed[number] = (answer,)
             else:
                 found[number] = answer
         if not found:
-            number, ((fault, remedy), *_) = next(iter(refused.items()))
+            number, ((fault, remedy), *_) = next(iter(failed.items()))
             raise RankDeficient(
                 f"no segment gives {what}; segment {number}: {fault}", remedy=remedy
             )
-        return Parts(self.instrument, self.layout, found, refused=refused)
+        return Parts(self.instrument, self.layout, found, failed=failed)
 
 
 def _fault_of(error: TrueNewtonError) -> Fault:
@@ -210,7 +210,7 @@ class Parts(InParts[Part]):
         The n actuators of all segments.
     found
         What was found of a segment, as a `Calibration`, by its number.
-    refused
+    failed
         Why nothing was found of the others, each with its remedy, by number.
 
     Raises
@@ -221,7 +221,7 @@ class Parts(InParts[Part]):
     Examples
     --------
     >>> made = tn.calibrate(tn.SegmentedData(stiffness=both), processes=1)
-    >>> {number: one.method for number, one in made.found.items()}, len(made.refused)
+    >>> {number: one.method for number, one in made.found.items()}, len(made.failed)
     ({1: 'ml', 2: 'ml'}, 0)
     >>> made.column("alpha").shape, made.part(2).alpha.shape
     ((90,), (45,))
@@ -232,7 +232,7 @@ class Parts(InParts[Part]):
     found: Mapping[int, Part]
 
     def __post_init__(self) -> None:
-        numbers = sorted((*self.found, *self.refused))
+        numbers = sorted((*self.found, *self.failed))
         if not self.found or tuple(numbers) != self.numbers:
             raise FormatError(
                 "SEGMENTS does not name each segment of the actuators once",
@@ -248,12 +248,12 @@ class Parts(InParts[Part]):
                     f"the actuators of segment {number} are not those of the mirror",
                     remedy="make the file again",
                 )
-        for name in ("found", "refused"):
+        for name in ("found", "failed"):
             ordered = dict(sorted(getattr(self, name).items()))
             object.__setattr__(self, name, MappingProxyType(ordered))
 
     def __repr__(self) -> str:
-        no = f", {len(self.refused)} refused" if self.refused else ""
+        no = f", {len(self.failed)} failed" if self.failed else ""
         kind = type(self._first).__name__
         return f"<Parts of {self.instrument}: {kind} of {counted(self.numbers, 'segment')}{no}>"
 
@@ -273,9 +273,9 @@ class Parts(InParts[Part]):
         return KINDS[type(self._first)]
 
     @property
-    def refusals(self) -> tuple[tuple[int, str, str], ...]:
-        """The same as ``refused``, in rows: number, fault and remedy."""
-        return tuple((number, *one) for number, faults in self.refused.items() for one in faults)
+    def failures(self) -> tuple[tuple[int, str, str], ...]:
+        """The same as ``failed``, in rows: number, fault and remedy."""
+        return tuple((number, *one) for number, faults in self.failed.items() for one in faults)
 
     def column(self, attribute: Attribute) -> Array:
         """Return (n,) a quantity of the actuators by its name, as 'alpha' or 'errors.1'."""
@@ -360,14 +360,14 @@ def apply(function: Callable[[Part], Result], made: Part | Parts[Part]) -> Resul
 
 # -- the file of all parts ------------------------------------------------------------------------
 
-REFUSED = TableFormat(
+FAILED = TableFormat(
     "REFUSED",
     (
         Column("SEGMENT", "0", kind="int"),
         Column("FAULT", "1", kind="str"),
         Column("REMEDY", "2", kind="str"),
     ),
-    of="refusals",
+    of="failures",
     optional=True,
 )
 SEGMENT = Column("SEGMENT", "layout.segment", kind="int")
@@ -389,8 +389,8 @@ class PartKind(Generic[Part]):
     name
         Of the table that has a row for each actuator of all segments.
     summary
-        Keywords of one body that become columns of SEGMENTS, and what stands for a segment that was
-        refused.
+        Keywords of one body that become columns of SEGMENTS, and what stands for a segment that
+        failed.
     counts
         Further columns of SEGMENTS: integers of a part by name.
     verdict, html, plot_map, write
@@ -430,7 +430,7 @@ class PartKind(Generic[Part]):
         ]
         return FileFormat(
             tuple(_shared(keyword) for name, keyword in keywords.items() if name in SHARED),
-            (self.actuators, TableFormat("SEGMENTS", tuple(segments)), REFUSED),
+            (self.actuators, TableFormat("SEGMENTS", tuple(segments)), FAILED),
         )
 
 
@@ -484,10 +484,10 @@ def parts_from(file: FitsFile, kind: PartKind[Part]) -> Parts[Part]:
     form = kind.whole
     values = file.values(FileFormat(form.keywords, (*form.extensions, alpha)))
     layout = file.filled(Layout, values["layout"])
-    rows = values.get("refusals", {"0": np.empty(0, dtype=int), "1": (), "2": ()})
-    refused: dict[int, Faults] = {}
+    rows = values.get("failures", {"0": np.empty(0, dtype=int), "1": (), "2": ()})
+    failed: dict[int, Faults] = {}
     for number, *fault in zip(rows["0"].tolist(), rows["1"], rows["2"], strict=True):
-        refused[number] = (*refused.get(number, ()), Fault(*fault))
+        failed[number] = (*failed.get(number, ()), Fault(*fault))
     found = {}
     for number, version in file.versions.items():
         try:
@@ -495,7 +495,7 @@ def parts_from(file: FitsFile, kind: PartKind[Part]) -> Parts[Part]:
         except TrueNewtonError as error:
             raise error.changed(fault=f"of segment {number}, {error.fault}") from None
     try:
-        made = Parts(values["instrument"], layout, found, refused=refused)
+        made = Parts(values["instrument"], layout, found, failed=failed)
     except TrueNewtonError as error:
         raise located(error, file.path) from None
     if not np.array_equal(made.column("alpha"), values["alpha"], equal_nan=True):

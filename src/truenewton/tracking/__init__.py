@@ -10,7 +10,7 @@ law         the result: alpha at any temperature and time
 validity    when to calibrate again
 file        the tracking file (docs/files.md)
 figures     alpha against temperature and time; the family
-words       in words and numbers: terminal, script
+summary     in words and numbers: terminal, script
 """
 
 import truenewton.tracking.file  # noqa: F401  # several segments are kept as it says

@@ -191,7 +191,7 @@ class Tracking:
         )
 
     def _repr_html_(self) -> str:
-        from truenewton.tracking.words import headline, remarks, summary_rows
+        from truenewton.tracking.summary import headline, remarks, summary_rows
 
         return html_table(headline(self), summary_rows(self), remarks(self))
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truenewton.calibration.words import as_sentences
+from truenewton.calibration.summary import as_sentences
 from truenewton.modal.figures import chosen_modes
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase

@@ -16,7 +16,7 @@ from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.words import headline, summary_rows
+from truenewton.calibration.summary import headline, summary_rows
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
 from truenewton.records.parts import has_parts

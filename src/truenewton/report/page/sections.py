@@ -10,7 +10,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.words import (
+from truenewton.calibration.summary import (
     as_sentences,
     headline,
     rejected_values,
@@ -193,8 +193,8 @@ def segment_sections(c: Parts[Calibration]) -> Iterator[Section]:
     yield Section("segments", "Segments", (words,), tables=(table,))
     for number in c.numbers:
         key, title = f"segment-{number}", f"Segment {number}"
-        if number in c.refused:
-            yield Section(key, title, ("No alpha.", *map(as_sentences, c.refused[number])))
+        if number in c.failed:
+            yield Section(key, title, ("No alpha.", *map(as_sentences, c.failed[number])))
             continue
         one = c.found[number]
         faults = map(as_sentences, one.verdict.faults)
@@ -225,7 +225,7 @@ def changed_segments(change: Change) -> TextTable:
 def _segment_row(c: Parts[Calibration], number: int) -> tuple[str, ...]:
     own = c.layout.segment == number
     count = str(int(np.count_nonzero(c.layout.enabled[own])))
-    if number in c.refused:
+    if number in c.failed:
         return (str(number), str(Level.NONE), count, *[""] * (len(SEGMENT_HEAD) - 3))
     one = c.found[number]
     weighed = np.isfinite(one.bias_force)

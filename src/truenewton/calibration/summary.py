@@ -169,7 +169,7 @@ def _values_of_parts(c: Parts[Calibration]) -> dict[str, Any]:
         "segments": [
             {"segment": number, **summary_values(c.found[number])}
             if number in c.found
-            else {"segment": number, "verdict": no_alpha(c.refused[number]).values}
+            else {"segment": number, "verdict": no_alpha(c.failed[number]).values}
             for number in c.numbers
         ],
     }
@@ -198,7 +198,7 @@ def headline(calibration: AnyCalibration) -> str:
             f"{c.instrument}, {_first_date(c):%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
             + (f" ({(~on).sum()} disabled)" if not on.all() else "")
             + f" of {counted(c.numbers, 'segment')}"
-            + (f", {len(c.refused)} without alpha" if c.refused else "")
+            + (f", {len(c.failed)} without alpha" if c.failed else "")
         )
     return (
         f"{c.instrument}, {c.date:%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
@@ -272,8 +272,8 @@ def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
 def _rows_of_parts(c: Parts[Calibration]) -> Iterator[tuple[str, str, str]]:
     """Yield name, range of alpha and what is known of each segment."""
     for number in c.numbers:
-        if number in c.refused:
-            yield f"segment {number}", str(Level.NONE), c.refused[number][0].fault
+        if number in c.failed:
+            yield f"segment {number}", str(Level.NONE), c.failed[number][0].fault
             continue
         one = c.found[number]
         low, high = int(np.nanargmin(one.alpha)), int(np.nanargmax(one.alpha))

@@ -9,8 +9,8 @@ import numpy as np
 
 from truenewton.calibration.file import ACTUATORS, CALIBRATION, calibration_from
 from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.summary import as_sentences
 from truenewton.calibration.verdict import verdict_on_parts
-from truenewton.calibration.words import as_sentences
 from truenewton.errors import OutputExists, OutputFailed
 from truenewton.estimation.findings.code import Level
 from truenewton.files.fits import write_fits
