@@ -11,16 +11,16 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.scale_faults import NO_ERROR, scale_limit
-from truenewton.calibration.verdict import Verdict, no_alpha, rejected_sentence
+from truenewton.calibration.verdict import NO_ERROR, rejected_sentence, scale_limit
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import NoiseSource, RejectedRow, Scale
-from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.findings.scale_budget import scale_budget, typical
+from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
+from truenewton.estimation.findings.scale_budget import scale_budget, scale_total, typical
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
+from truenewton.records.result import Summary, summary_of
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, percent, significant, to_digits, with_error
@@ -213,6 +213,13 @@ def headline(calibration: AnyCalibration) -> str:
     )
 
 
+@summary_of.register(Calibration)
+def _summary(calibration: AnyCalibration) -> Summary:
+    verdict = calibration.verdict
+    rows = [*summary_rows(calibration), ("verdict", str(verdict.level), "")]
+    return Summary(headline(calibration), rows, warning_lines(verdict.faults))
+
+
 def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
     """Yield name, value and note of what was found, how sure it is, and what limits it."""
     c, ids = calibration, calibration.layout.id
@@ -340,3 +347,19 @@ def rejected_values(
         }
         for row in sorted(rejected, key=lambda row: -row.sigmas)
     ]
+
+
+def error_budget(c: Calibration) -> dict[str, float]:
+    """Return relative standard uncertainties of alpha by name; none where the scale is free."""
+    if c.scale == Scale.MEAN_ONE:
+        return {}
+    parts = {
+        "typical actuator, all": typical(c.error, c.alpha),
+        "typical actuator, readings": typical(c.reading_error, c.alpha),
+        "typical actuator, weights": typical(c.systematic_error, c.alpha),
+    }
+    if c.scale_errors:
+        parts["common scale, all"] = scale_total(c.scale_errors)
+        for what, part in scale_budget(c.scale_errors).items():
+            parts[f"common scale, {what}"] = part
+    return parts

@@ -25,7 +25,6 @@ from truenewton.calibration.summary import (
     summary_values,
     verdict_lines,
 )
-from truenewton.calibration.verdict import Verdict, no_alpha
 from truenewton.errors import (
     Fault,
     FormatError,
@@ -36,6 +35,7 @@ from truenewton.errors import (
 )
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Diagnosis
+from truenewton.estimation.findings.finding import Verdict, no_alpha
 from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign

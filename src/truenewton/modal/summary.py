@@ -14,6 +14,7 @@ from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.parts import Parts, has_parts
+from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import counted, percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns, at least
@@ -123,6 +124,15 @@ def headline(findings: ModalFindings) -> str:
     return (
         f"{base.matrix.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}"
     )
+
+
+@summary_of.register(ModalFindings)
+def _summary(findings: ModalFindings | Parts[ModalFindings]) -> Summary | None:
+    if has_parts(findings):
+        return None
+    rows = [row for row in summary_rows(findings) if row[1]]
+    rows.append(("verdict on alpha", str(findings.calibration.verdict)))
+    return Summary(headline(findings), rows, warning_lines(findings.warnings))
 
 
 def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:

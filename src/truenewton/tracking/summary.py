@@ -13,9 +13,9 @@ import numpy as np
 
 from truenewton.calibration.summary import row
 from truenewton.records.parts import Parts, has_parts
+from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import by_chance, counted, numbered, with_error
-from truenewton.tracking.law import Tracking
-from truenewton.tracking.validity import Validity, validity_of
+from truenewton.tracking.law import Tracking, Validity, validity_of
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
@@ -51,6 +51,13 @@ def headline(tracking: Tracking) -> str:
         f"{t.instrument}: {len(t.days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d},"
         f" alpha at {_degrees(t.temperature)} on {t.date:%Y-%m-%d}"
     )
+
+
+@summary_of.register(Tracking)
+def _summary(tracking: Tracking | Parts[Tracking]) -> Summary | None:
+    if has_parts(tracking):
+        return None
+    return Summary(headline(tracking), summary_rows(tracking), remarks(tracking))
 
 
 def summary_rows(tracking: Tracking) -> Iterator[tuple[str, str]]:
