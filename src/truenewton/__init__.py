@@ -39,10 +39,10 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.figures import write_figures as write_figures
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
-    from truenewton.calibration.verdict import Verdict as Verdict
     from truenewton.estimation.findings.code import Code as Code
     from truenewton.estimation.findings.code import Level as Level
     from truenewton.estimation.findings.finding import Finding as Finding
+    from truenewton.estimation.findings.finding import Verdict as Verdict
     from truenewton.importers.importing import stiffness_from as stiffness_from
     from truenewton.importers.supervisor import export_supervisor as export_supervisor
     from truenewton.mirrors.sensor_model import sensor_model as sensor_model
@@ -81,11 +81,11 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.statics.layout import rings as rings
     from truenewton.statics.layout import spherical_rings as spherical_rings
     from truenewton.statics.load import Load as Load
-    from truenewton.tracking.file import read_tracking as read_tracking
     from truenewton.tracking.fit import track as track
     from truenewton.tracking.law import Tracking as Tracking
-    from truenewton.tracking.validity import Validity as Validity
-    from truenewton.tracking.validity import validity_of as validity_of
+    from truenewton.tracking.law import Validity as Validity
+    from truenewton.tracking.law import read_tracking as read_tracking
+    from truenewton.tracking.law import validity_of as validity_of
 
 # Imported on first use: the command line answers --help without numpy.
 _NAMES = {
@@ -106,9 +106,8 @@ _NAMES = {
     "calibration.figures": ["write_figures"],
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
-    "calibration.verdict": ["Verdict"],
     "estimation.findings.code": ["Code", "Level"],
-    "estimation.findings.finding": ["Finding"],
+    "estimation.findings.finding": ["Finding", "Verdict"],
     "importers.supervisor": ["export_supervisor"],
     "importers.importing": ["stiffness_from"],
     "mirrors.sensor_model": ["sensor_model"],
@@ -134,10 +133,8 @@ _NAMES = {
     "report.page.page": ["write_report"],
     "statics.layout": ["Layout", "layout", "rings", "spherical_rings"],
     "statics.load": ["Load"],
-    "tracking.file": ["read_tracking"],
     "tracking.fit": ["track"],
-    "tracking.law": ["Tracking"],
-    "tracking.validity": ["Validity", "validity_of"],
+    "tracking.law": ["Tracking", "Validity", "read_tracking", "validity_of"],
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}
 __all__ = ["errors", "mirrors"]

@@ -8,9 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.result import CALIBRATIONS, AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.calibration.written import CALIBRATIONS
 from truenewton.cluster import Client, each
 from truenewton.errors import Fault, FormatError, TrueNewtonError, located
 from truenewton.records.campaign import Campaign

@@ -85,7 +85,7 @@ def same(one, other):
 
 
 def test_each_segment_is_calibrated_as_if_alone(whole, alone):
-    assert whole.refused == {}
+    assert whole.failed == {}
     for number, (other, truth) in enumerate(zip(alone, pieces(3)[1], strict=True), 1):
         same(whole.found[number], other)
         own = whole.layout.segment == number
@@ -124,16 +124,16 @@ def test_processes_and_files_give_the_same_result_and_the_same_refusals(data, al
         replace(data, cycles=tuple(replace(c, layout=off) for c in data.cycles)), 3, np.zeros_like
     )
     made = tn.calibrate(still)
-    assert set(made.refused) == {1, 3}
-    assert "no actuator is ENABLED" in made.refused[1][0].fault
-    assert "FORCE is zero throughout" in made.refused[3][0].fault
+    assert set(made.failed) == {1, 3}
+    assert "no actuator is ENABLED" in made.failed[1][0].fault
+    assert "FORCE is zero throughout" in made.failed[3][0].fault
     same(made.found[2], alone[1])
     made.write(tmp_path / "alpha.fits.gz")
     parallel = tn.calibrate(still, processes=2)
     for other in (parallel, tn.read(tmp_path / "alpha.fits.gz")):
         for name in ("alpha", "error"):
             assert np.array_equal(other.column(name), made.column(name), equal_nan=True)
-        assert other.refused == made.refused
+        assert other.failed == made.failed
         assert other.verdict == made.verdict
         assert other.layout.same_as(made.layout)
     assert not parallel.found[2].covariance.flags.writeable
@@ -383,7 +383,7 @@ def test_what_is_said_of_several_segments_is_said_once(data):
     assert one.fault.startswith("segments 1 to 3: the common scale is known to 30 %")
     assert one.fault.endswith("(numbers of segment 1)")
     refused = {k: (Fault(f"actuator {k} is dead", "do"),) for k in (1, 2)}
-    other = replace(made, found={3: made.found[3]}, refused=refused)
+    other = replace(made, found={3: made.found[3]}, failed=refused)
     assert [each.fault for each in other.verdict.faults][:2] == [
         "segment 1: actuator 1 is dead", "segment 2: actuator 2 is dead",
     ]  # fmt: skip

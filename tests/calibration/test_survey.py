@@ -7,8 +7,8 @@ import numpy as np
 import truenewton as tn
 from helpers.changed import p45, with_forces
 from studies.matrices import measured_or_made, noisy, true_stiffness
+from truenewton.calibration.summary import summary_rows
 from truenewton.calibration.survey import survey
-from truenewton.calibration.words import summary_rows
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import percent
 

@@ -15,11 +15,11 @@ from matplotlib import pyplot
 
 import truenewton as tn
 from helpers.balanced import campaign_of, p45_campaign
-from truenewton.calibration import words as calibration_words
-from truenewton.calibration.words import warning_lines
+from truenewton.calibration import summary as calibration_summary
+from truenewton.calibration.summary import warning_lines
 from truenewton.errors import OutputFailed
 from truenewton.modal import summary as modal_summary
-from truenewton.tracking import words as tracking_words
+from truenewton.tracking import summary as tracking_summary
 
 ROOT = Path(__file__).parents[2]
 NAMES = ["ID", "X", "Y", "ALPHA", "E_ALPHA", "E_STAT", "E_SYST", "E_CYCLE"]
@@ -137,8 +137,8 @@ def test_a_notebook_shows_what_the_terminal_says(campaign, calibration):
     ]
     modes = tn.find_modes(p45_campaign(1))
     results = (
-        (calibration, calibration_words, list(warning_lines(calibration.verdict.faults))),
-        (tn.track(*days), tracking_words, ["nobody leaves the family"]),
+        (calibration, calibration_summary, list(warning_lines(calibration.verdict.faults))),
+        (tn.track(*days), tracking_summary, ["nobody leaves the family"]),
         (modes, modal_summary, [f"verdict on alpha {modes.calibration.verdict}"]),
     )
     for result, words, more in results:

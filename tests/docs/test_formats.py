@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from truenewton.bench.simulated.truth import TRUTH
-from truenewton.calibration.file import CALIBRATION
-from truenewton.calibration.written import CALIBRATIONS
+from truenewton.calibration.export import CALIBRATIONS
+from truenewton.calibration.result import CALIBRATION
 from truenewton.estimation.findings import thresholds
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
 from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
-from truenewton.tracking.file import TRACKING, TRACKINGS
+from truenewton.tracking.law import TRACKING, TRACKINGS
 
 DOCS = Path(__file__).parents[2] / "docs" / "files.md"
 VERDICT = DOCS.with_name("verdict.md")

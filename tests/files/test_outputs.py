@@ -16,10 +16,10 @@ from helpers.stub_bench import StubBench
 from truenewton.cli.terminal import say
 from truenewton.errors import OutputExists, OutputFailed, UnreadableFile
 from truenewton.files.outputs import (
+    atomic_outputs,
     file_beside,
     files_together,
     folder_beside,
-    together,
     undisturbed,
 )
 
@@ -51,7 +51,7 @@ ALL = ("a", "b", "c", "d/e")
 def test_outputs_of_a_block_appear_together(tmp_path, before):
     if before:
         write_three(tmp_path, "old")
-    with together():
+    with atomic_outputs():
         write_three(tmp_path, "new", overwrite=before)
         there = {k: v for k, v in held(tmp_path).items() if not k.startswith(".")}
         assert there == (dict.fromkeys(ALL, "old") if before else {})
@@ -64,7 +64,7 @@ def test_outputs_of_a_block_appear_together(tmp_path, before):
 def test_a_block_that_is_stopped_leaves_all_as_it_stood(tmp_path, before, error):
     if before:
         write_three(tmp_path, "old")
-    with pytest.raises((KeyboardInterrupt, OSError)), together():  # noqa: PT012
+    with pytest.raises((KeyboardInterrupt, OSError)), atomic_outputs():  # noqa: PT012
         write_three(tmp_path, "new", overwrite=before)
         raise error
     assert held(tmp_path) == (dict.fromkeys(ALL, "old") if before else {})
@@ -84,7 +84,7 @@ def test_a_name_that_cannot_be_taken_gives_back_the_others(tmp_path, monkeypatch
         return replace(path, target)
 
     monkeypatch.setattr(Path, "replace", stuck)
-    with pytest.raises(OutputFailed, match=f"{name}: cannot be written"), together():
+    with pytest.raises(OutputFailed, match=f"{name}: cannot be written"), atomic_outputs():
         write_three(tmp_path, "new", overwrite=before)
     assert held(tmp_path) == (dict.fromkeys(ALL, "old") if before else {})
     assert not [p.name for p in tmp_path.iterdir() if p.name.startswith(".")]

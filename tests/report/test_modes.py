@@ -16,8 +16,8 @@ from truenewton.report import investigate as module
 from truenewton.report.evidence import ModeResiduals
 from truenewton.report.figures import still_figures
 from truenewton.report.investigate import investigate
-from truenewton.report.page.modal_sections import modal_sections
 from truenewton.report.page.page import page
+from truenewton.report.page.sections import modal_sections
 
 
 @pytest.fixture(scope="module")

@@ -20,11 +20,11 @@ from helpers.tracked import (
     quiet_cycles,
 )
 from truenewton.errors import RankDeficient
-from truenewton.recalibration.words import lines as lines_of_run
+from truenewton.recalibration.summary import lines as lines_of_run
 from truenewton.tracking.days import covariances, gathered
 from truenewton.tracking.linear_fit import relative_days
 from truenewton.tracking.scatter import Scatter, expanded, scatter_of
-from truenewton.tracking.words import lines
+from truenewton.tracking.summary import lines
 
 K = np.random.default_rng(11).normal(MEAN_K, SPREAD_K, 45)
 ALL = np.ones(45, dtype=bool)

@@ -59,7 +59,7 @@ def files(days, tmp_path_factory):
 def without(day, number):
     """Return a calibration of which one segment was refused."""
     kept = {k: one for k, one in day.found.items() if k != number}
-    return replace(day, found=kept, refused={number: (Fault("why", "do"),)})
+    return replace(day, found=kept, failed={number: (Fault("why", "do"),)})
 
 
 def test_each_segment_is_tracked_as_if_alone(law, days):
@@ -76,8 +76,8 @@ def test_each_segment_is_tracked_as_if_alone(law, days):
 
 def test_a_segment_that_cannot_be_tracked_takes_no_other_down(days, law):
     made = tn.track(without(days[0], 2), *days[1:])
-    assert set(made.refused) == {2}
-    fault, remedy = made.refused[2][0]
+    assert set(made.failed) == {2}
+    fault, remedy = made.failed[2][0]
     assert fault.endswith("segment 2 gave no alpha: why")
     assert fault.startswith(f"{days[0].instrument} of ")  # which day it is
     assert remedy == "do"
@@ -192,7 +192,7 @@ def test_the_command_recalibrates_by_a_law_of_all_segments(after, files, days, i
     assert code == 0
     assert "105" in said
     back = tn.read(tmp_path / "new.fits")
-    assert set(back.refused) == {3}
+    assert set(back.failed) == {3}
     assert back.part(1).method == "ml, recalibrated"
     code, said, _ = inside(*words, "--actuators", "auto", "--json")
     values = json.loads(said)

@@ -25,9 +25,9 @@ from truenewton.statics.load import Load
 from truenewton.tracking.days import DatedCalibration, covariances, weight_groups
 from truenewton.tracking.family import families_from, fitted_population, most_outlying
 from truenewton.tracking.figures import plot_family, plot_law, tracking_figures
+from truenewton.tracking.law import validity_of
 from truenewton.tracking.linear_fit import linear_fit
-from truenewton.tracking.validity import validity_of
-from truenewton.tracking.words import lines
+from truenewton.tracking.summary import lines
 
 K = np.random.default_rng(11).normal(MEAN_K, SPREAD_K, 45)
 T_OF_3 = scipy.stats.t.isf(0.025, 3) / scipy.stats.norm.isf(0.025)

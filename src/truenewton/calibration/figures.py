@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from truenewton.calibration.result import AnyCalibration
+from truenewton.arrays import Array
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.findings.scale_budget import typical
 from truenewton.figures.maps import (
@@ -25,9 +26,21 @@ from truenewton.figures.maps import (
 from truenewton.figures.style import ACCENT, CURVES, INK, NAMED, legend_above, styled_axes
 from truenewton.figures.writing import write_drawn
 from truenewton.records.parts import by_number
+from truenewton.statics.layout import Layout
 
 
-def plot_actuators(calibration: AnyCalibration, ax: Axes | None = None) -> Axes:
+class HasColumns(Protocol):
+    """What is drawn: a calibration, of one body or of several segments."""
+
+    @property
+    def layout(self) -> Layout:
+        """The actuators."""
+
+    def column(self, name: str, /) -> Array:
+        """Return (n,) a quantity of the actuators."""
+
+
+def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
     The bars are three standard uncertainties from the readings (3 E_STAT), the paper's level. The
@@ -51,7 +64,8 @@ def plot_actuators(calibration: AnyCalibration, ax: Axes | None = None) -> Axes:
         ax.set_ylabel(ALPHA_LABEL)
         ax.margins(y=0.16)  # names of the rings stand in it
         note = "bars: 3σ, readings"
-        if {one.scale for one in by_number(calibration).values()} != {Scale.MEAN_ONE}:
+        every: Mapping[int, Any] = by_number(calibration)
+        if {one.scale for one in every.values()} != {Scale.MEAN_ONE}:
             scale = typical(calibration.column("systematic_error"), alpha)
             note += f"; common scale ±{100 * scale:.1f} % (1σ)"
         else:
@@ -67,7 +81,7 @@ def plot_actuators(calibration: AnyCalibration, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_errors(calibration: AnyCalibration, ax: Axes | None = None) -> Axes:
+def plot_errors(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     """Draw the errors of alpha per actuator, ring by ring, relative to alpha.
 
     E_SYST from the weights and E_STAT from the readings at one sigma, E_CYCLE from the scatter of
@@ -99,7 +113,7 @@ def plot_errors(calibration: AnyCalibration, ax: Axes | None = None) -> Axes:
 
 
 def write_figures(
-    calibration: AnyCalibration,
+    calibration: HasColumns,
     folder: str | os.PathLike[str],
     *,
     more: Mapping[str, Callable[[], Axes]] | None = None,

@@ -12,8 +12,15 @@ from typing import NamedTuple, overload
 import numpy as np
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.exclusion import disabled, require_known, without
-from truenewton.calibration.numbers import Imbalances, common, from_stiffness, matrix_source
+from truenewton.calibration.numbers import (
+    Imbalances,
+    common,
+    disabled,
+    from_stiffness,
+    matrix_source,
+    require_known,
+    without,
+)
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.calibration.workers import executor_for

@@ -17,8 +17,7 @@ from truenewton.calibration.methods import (
     seen_of,
 )
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.verdict import Verdict, no_alpha
-from truenewton.calibration.words import (
+from truenewton.calibration.summary import (
     rejected_lines,
     rejected_values,
     row,
@@ -36,6 +35,7 @@ from truenewton.errors import (
 )
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Diagnosis
+from truenewton.estimation.findings.finding import Verdict, no_alpha
 from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign

@@ -9,105 +9,54 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Hashable, Iterable, Iterator
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.calibration.scale_faults import (
-    scale_faults,
-    unit_fault,
-    weights_along_axis,
-)
+from truenewton.arrays import Array
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.errors import Fault, NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.findings.code import Code, Concern, Level
-from truenewton.estimation.findings.estimate import RejectedRow, Scale
-from truenewton.estimation.findings.finding import Finding, distinct
-from truenewton.estimation.findings.scale_budget import typical
+from truenewton.estimation.findings.estimate import ErrorKind, RejectedRow, Scale
+from truenewton.estimation.findings.finding import Finding, Verdict, judged, no_alpha
+from truenewton.estimation.findings.scale_budget import (
+    FROM_READINGS,
+    scale_total,
+    tilt_as_load,
+    typical,
+)
 from truenewton.estimation.findings.thresholds import LIMITS
-from truenewton.estimation.paper.identifiability import similar_loads
+from truenewton.estimation.paper.identifiability import (
+    NO_LOAD_SEEN,
+    SIMILAR_LOADS_FRACTION,
+    similar_loads,
+)
 from truenewton.records.parts import Parts
-from truenewton.rounding import with_error
-
-if TYPE_CHECKING:
-    from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.records.result import verdict_of
+from truenewton.rounding import percent, significant, with_error
+from truenewton.statics.arms import effective_weight
 
 ZERO_SIGMAS = 3.0  # within which alpha is 0
 REGARDLESS = "to use it regardless, for a diagnosis only: --anyway (in Python: force=True)"
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Whether the stated errors of a result hold.
-
-    Attributes
-    ----------
-    level
-        'sound', 'usable', 'doubtful', 'rejected'; 'no alpha' of data that give none.
-    findings
-        What was found, the worst first; those of level 'sound' are notes and limit nothing.
-
-    Examples
-    --------
-    >>> print(calibration.verdict.level, len(calibration.verdict.findings))
-    usable 1
-    """
-
-    level: Level
-    findings: tuple[Finding, ...] = ()
-
-    def __str__(self) -> str:
-        if not self.faults:
-            return str(self.level)
-        more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
-        first = self.faults[0]
-        return f"{self.level}: {'; '.join(filter(None, (first.fault, first.remedy)))}{more}"
-
-    @property
-    def faults(self) -> tuple[Finding, ...]:
-        """The findings that limit the result."""
-        return tuple(each for each in self.findings if each.level < Level.SOUND)
-
-    @property
-    def notes(self) -> tuple[Finding, ...]:
-        """What is worth knowing and limits nothing: why a better method was not used."""
-        return tuple(each for each in self.findings if each.level is Level.SOUND)
-
-    @property
-    def values(self) -> dict[str, Any]:
-        """The same for a script."""
-        return {
-            "level": str(self.level),
-            "findings": [each.as_values for each in self.findings],
-        }
-
-
-def judged(findings: Collection[Finding]) -> Verdict:
-    """Return the verdict on findings: its level is that of the worst, which stands first."""
-    ordered = sorted(distinct(findings), key=lambda each: each.level)
-    return Verdict(min((each.level for each in ordered), default=Level.SOUND), tuple(ordered))
-
-
-def no_alpha(faults: Collection[Fault]) -> Verdict:
-    """Return the verdict on data that give no alpha."""
-    return judged(
-        [Finding.of(Code.NO_ALPHA, fault=each.fault, remedy=each.remedy) for each in faults]
-    )
-
-
-def verdict_on(calibration: Calibration) -> Verdict:
-    """Judge a calibration by what its file holds of it."""
+@verdict_of.register(Calibration)
+def verdict_on(calibration: AnyCalibration) -> Verdict:
+    """Judge a calibration by what its file holds of it; of several segments all together."""
+    if isinstance(calibration, Parts):
+        return _on_parts(calibration)
     return judged([*_rejecting(calibration), *_of_data(calibration), *_of_result(calibration)])
 
 
-def verdict_on_parts(c: Parts[Calibration]) -> Verdict:
+def _on_parts(c: Parts[Calibration]) -> Verdict:
     """Judge a mirror in several segments: each finding names its segments.
 
     It can be used as far as a segment can.
     """
     of_each = {number: one.verdict for number, one in c.found.items()}
-    of_each |= {number: no_alpha(faults) for number, faults in c.refused.items()}
+    of_each |= {number: no_alpha(faults) for number, faults in c.failed.items()}
     every = [(n, each) for n, one in sorted(of_each.items()) for each in one.faults]
     whole = judged(list(_of_segments(every)))
     levels = [one.level for one in of_each.values()]
@@ -171,7 +120,7 @@ def without_unusable(c: Parts[Calibration]) -> Parts[Calibration]:
         for n, (first, *others) in out.items()
     }
     kept = {number: one for number, one in c.found.items() if number not in out}
-    return replace(c, found=kept, refused={**c.refused, **named})
+    return replace(c, found=kept, failed={**c.failed, **named})
 
 
 def usable(calibration: AnyCalibration, *, force: bool, path: object = None) -> AnyCalibration:
@@ -197,10 +146,10 @@ def usable(calibration: AnyCalibration, *, force: bool, path: object = None) -> 
     kept = calibration if force else without_unusable(calibration)
     if path is not None:
         lacking = {}
-        for number, ((fault, remedy), *_) in kept.refused.items():
+        for number, ((fault, remedy), *_) in kept.failed.items():
             anyway = f"; {REGARDLESS}" if number in calibration.found else ""
             lacking[number] = (Fault(f"{path} gives no alpha: {fault}", remedy + anyway),)
-        kept = replace(kept, refused=lacking)
+        kept = replace(kept, failed=lacking)
     return kept
 
 
@@ -358,3 +307,132 @@ def _graver(c: Calibration, about: Collection[Concern]) -> Iterator[Finding]:
     """Yield the effects about something for which the calibration is rejected."""
     for each in _uncorrected(c, about):
         yield replace(each, graded=Level.REJECTED)
+
+
+# -- the common scale: its unit, the weights, and their errors ------------------------------------
+
+NO_ERROR = 1e-6  # of the common scale: below, nobody knows a weight so well
+WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
+GRAVITY = 9.81  # [m/s^2]
+FORCE_IN = "correct the unit that the column FORCE declares, or convert its values to N"
+WEIGHTS_IN = f"store WEIGHT and ADDED in N: {-GRAVITY} for a kilogram"
+
+
+class Mistake(NamedTuple):
+    """A keyword or unit that is not what the file contract says.
+
+    Attributes
+    ----------
+    factor
+        What it makes of an alpha of 1.
+    said, remedy
+        How it looks; what to do.
+    """
+
+    factor: float
+    said: str
+    remedy: str
+
+
+POUND = 4.4482216  # [N], of force
+MISTAKES = (
+    Mistake(1e-6, "FORCE looks as if in uN", FORCE_IN),
+    Mistake(1e-3, "FORCE looks as if in mN", FORCE_IN),
+    Mistake(1e-3 * GRAVITY, "FORCE looks as if in gf (grams)", FORCE_IN),
+    Mistake(POUND, "FORCE looks as if in lbf (pounds)", FORCE_IN),
+    Mistake(GRAVITY, "FORCE looks as if in kgf (kilograms)", FORCE_IN),
+    Mistake(1e3, "FORCE looks as if in kN", FORCE_IN),
+    Mistake(1 / GRAVITY, "WEIGHT and ADDED look as if in kg", WEIGHTS_IN),
+    Mistake(1 / POUND, "WEIGHT and ADDED look as if in lbf", WEIGHTS_IN),
+    Mistake(1e3 / GRAVITY, "WEIGHT and ADDED look as if in g", WEIGHTS_IN),
+    Mistake(1e3, "WEIGHT and ADDED look as if in mN", WEIGHTS_IN),
+)
+OTHER_UNIT = "FORCE looks as if in counts or volts of the electronics, or in another unit than N"
+ONE_LOAD_FROM_REST = "FORCE of one load counts from rest or belongs to another load"
+NEAR_ONE = (0.6, 1.6)  # the typical alpha of mirrors, which a single mistake is to bring back
+MAX_DEVIATION, MIN_LIKE_OTHERS = 0.5, 0.9  # from the median, of how many: else it is no unit alone
+
+
+def unit_fault(c: Calibration) -> Finding | None:
+    """Return that alpha is so far from 1 that a unit must be wrong, and which one it may be.
+
+    Or that no load is seen: then alpha is large, but no more than noise.
+    """
+    median = float(np.nanmedian(c.alpha))
+    if c.scale == Scale.WEIGHTS and typical(c.reading_error, c.alpha) > LIMITS.relative_error:
+        return NO_LOAD_SEEN if abs(median) > LIMITS.highest_alpha else None
+    alike = np.abs(c.alpha[c.layout.enabled] / median - 1.0) < MAX_DEVIATION
+    if LIMITS.lowest_alpha < abs(median) < LIMITS.highest_alpha or np.mean(alike) < MIN_LIKE_OTHERS:
+        return None
+    fitting = [
+        each
+        for each in (*_added_with_weight(c), *MISTAKES)
+        if NEAR_ONE[0] < abs(median) / each.factor < NEAR_ONE[1]
+    ]
+    looks = ", or ".join(each.said for each in fitting) or OTHER_UNIT
+    remedy = "; or ".join(dict.fromkeys(each.remedy for each in fitting)) or FORCE_IN
+    looks += ", and FORCE of the other sign" if median < 0.0 else ""
+    if c.scale == Scale.WEIGHTS:
+        looks += f", or {ONE_LOAD_FROM_REST}"
+    return Finding.of(
+        Code.ALPHA_FAR_FROM_ONE, alpha=significant(median), looks=looks, remedy=remedy
+    )
+
+
+def _added_with_weight(c: Calibration) -> Iterator[Mistake]:
+    """Yield that ADDED includes the weight of the mirror: the load seems heavier by it."""
+    added = min((load.added for load in c.loads), default=0.0)
+    alone = added - c.weight
+    if alone < 0.0:
+        yield Mistake(
+            added / alone,
+            "ADDED looks as if the weight of the mirror were in it",
+            f"store what was added alone, {significant(alone, 3)} N",
+        )
+
+
+def scale_faults(c: Calibration) -> Iterator[Finding]:
+    """Yield that the weights limit the common scale, or are given without their errors."""
+    if c.scale == Scale.MEAN_ONE:
+        return
+    weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
+    if c.scale == Scale.WEIGHTS:
+        alike = similar_loads(weights_along_axis(c))
+        if alike and typical(c.error, c.alpha) > SIMILAR_LOADS_FRACTION:
+            yield alike
+        exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
+        if exact or weights < NO_ERROR:
+            which = f" (E_ADDED of {' and '.join(exact)} is 0)" if exact else ""
+            yield Finding.of(Code.WEIGHTS_WITHOUT_ERRORS, which=which)
+    if weights > LIMITS.scale_share * readings:
+        limit = scale_limit(c)
+        yield limit or Finding.of(Code.SCALE_BY_WEIGHTS, error=weights, share="")
+
+
+def weights_along_axis(c: Calibration) -> Array:
+    """Return (L,) weights of mirror and load along the axis [N]."""
+    return effective_weight(c.weight, [q.added for q in c.loads], [q.tilt for q in c.loads])
+
+
+def scale_limit(c: Calibration) -> Finding | None:
+    """Return what limits the common scale and what would help; None where the weights do not."""
+    if not c.scale_errors or c.scale_errors[0].source == FROM_READINGS:
+        return None
+    total, largest = scale_total(c.scale_errors), c.scale_errors[0]
+    share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
+    remedies = []
+    heaviest = max(c.loads, key=lambda load: load.added_error)
+    if largest.source.kind in WEIGHED and heaviest.added_error:
+        better = np.sqrt(total**2 - 0.99 * largest.relative**2)
+        finer = 1e3 * heaviest.added_error / 10
+        remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")
+    if not any(load.tilt for load in c.loads):
+        tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
+        if tilted < total:
+            remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
+    return Finding.of(
+        Code.SCALE_BY_WEIGHTS,
+        error=total,
+        share=f", {share} from the {largest.source}",
+        remedy="; ".join(remedies),
+    )

@@ -39,10 +39,10 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
+    from truenewton.calibration.export import lacking, suffix_of
     from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.summary import all_lines, summary_values
     from truenewton.calibration.verdict import usable
-    from truenewton.calibration.words import all_lines, summary_values
-    from truenewton.calibration.written import lacking, suffix_of
     from truenewton.cli.terminal import about, busy, print_result, schema_of
     from truenewton.cluster import connected
     from truenewton.files.outputs import refuse_existing

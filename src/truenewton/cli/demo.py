@@ -25,7 +25,7 @@ def run(
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.calibration.figures import write_figures
     from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.words import summary_lines
+    from truenewton.calibration.summary import summary_lines
     from truenewton.cli import terminal
     from truenewton.files.outputs import folder_beside
     from truenewton.mirrors.known import p45
@@ -34,7 +34,7 @@ def run(
     from truenewton.report.investigate import investigate
     from truenewton.report.page.page import write_report
     from truenewton.studies.scoring import score
-    from truenewton.studies.words import truth_lines
+    from truenewton.studies.summary import truth_lines
 
     def say(*lines: object) -> None:
         if not quiet:

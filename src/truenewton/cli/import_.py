@@ -46,7 +46,7 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Make a stiffness file from a matrix and positions in other people's files."""
-    from truenewton.calibration.words import summary_values
+    from truenewton.calibration.summary import summary_values
     from truenewton.cli.terminal import busy, print_result
     from truenewton.estimation.findings.code import Level
     from truenewton.files.outputs import refuse_existing
@@ -102,7 +102,7 @@ def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | 
     Reciprocity, which `calibrate` tries too, takes several times as long.
     """
     from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.words import summary_rows, warning_lines
+    from truenewton.calibration.summary import summary_rows, warning_lines
     from truenewton.cli.terminal import busy
     from truenewton.errors import TrueNewtonError
 

@@ -50,7 +50,7 @@ def run(
     from truenewton.calibration.verdict import usable
     from truenewton.cli.terminal import about, busy, print_result, schema_of
     from truenewton.figures.writing import write_drawn
-    from truenewton.files.outputs import refuse_existing, together
+    from truenewton.files.outputs import atomic_outputs, refuse_existing
     from truenewton.modal.figures import modes_figures
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
@@ -80,7 +80,7 @@ def run(
             motion=motion, off=floats, slaved=follows, force=anyway,
         )  # fmt: skip
         told, as_values = lines(found, limits), values(found, limits) if json else None
-        with together():
+        with atomic_outputs():
             if output is not None:
                 written += write_modes(found, output, limits, overwrite=overwrite)
             if figures is not None:

@@ -26,14 +26,14 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
+    from truenewton.calibration.export import suffix_of
     from truenewton.calibration.verdict import usable
-    from truenewton.calibration.written import suffix_of
     from truenewton.cli.terminal import REFUSALS, about, busy, print_result, schema_of
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_chosen
     from truenewton.recalibration.fit import recalibrate
-    from truenewton.recalibration.words import lines, values
+    from truenewton.recalibration.summary import lines, values
     from truenewton.records.parts import apply
 
     auto = actuators.strip().casefold() == "auto"

@@ -27,7 +27,7 @@ def run(
     from truenewton.bench.simulated.segmented import bench_of, campaign_on, truth_of
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.cli.terminal import print_result, track
-    from truenewton.files.outputs import refuse_existing, together
+    from truenewton.files.outputs import atomic_outputs, refuse_existing
     from truenewton.mirrors.file import whole_mirror_from
     from truenewton.records.file import write_campaign
     from truenewton.rounding import counted
@@ -40,7 +40,7 @@ def run(
     truth = truth_of(bench)
     total, shapes = cycles * len(truth.loads), 2 * len(bench.shapes)
     made = campaign_on(bench, cycles, fidelity)
-    with together():
+    with atomic_outputs():
         write_campaign((next(made) for _ in track(range(total), "simulating")), output,
                        overwrite=overwrite)  # fmt: skip
         write_truth(truth, truth_path(output), overwrite=overwrite)

@@ -28,10 +28,10 @@ def run(
     from truenewton.cli.terminal import busy, print_result, schema_of
     from truenewton.errors import FormatError
     from truenewton.figures.writing import write_drawn
-    from truenewton.files.outputs import refuse_existing, together
+    from truenewton.files.outputs import atomic_outputs, refuse_existing
     from truenewton.tracking.figures import tracking_figures
     from truenewton.tracking.fit import track
-    from truenewton.tracking.words import lines, values
+    from truenewton.tracking.summary import lines, values
 
     if accuracy is not None and not 1e-9 <= accuracy <= 1:
         raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
@@ -40,7 +40,7 @@ def run(
         law = track(*paths, force=force, segment=segment)
         told, as_values = lines(law, accuracy), values(law, accuracy) if json else None
     drawn: list[Path] = []
-    with together():
+    with atomic_outputs():
         if output is not None:
             law.write(output, overwrite=overwrite)
         if figures is not None:

@@ -36,12 +36,12 @@ class _Made:
     targets: Sequence[Path]
 
 
-# What `together` gathers; None where each output takes its name as soon as it is complete.
+# What `atomic_outputs` gathers; None where each output takes its name as soon as it is complete.
 _GATHERED: ContextVar[list[_Made] | None] = ContextVar("outputs", default=None)
 
 
 @contextlib.contextmanager
-def together() -> Iterator[None]:
+def atomic_outputs() -> Iterator[None]:
     """Let all outputs of a block take their names at its end: all appear, or none.
 
     Raises

@@ -10,3 +10,5 @@ file                the modal base in files (docs/files.md)
 figures             modes on the mirror, residual, power
 summary             text for terminal and page, values for scripts
 """
+
+import truenewton.modal.summary  # noqa: F401  # registers what its results can do

@@ -50,10 +50,10 @@ from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
+from truenewton.records.result import Result
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import html_table
 from truenewton.statics.modes import StiffnessModes
 
 MAX_PAIR_DIFFERENCE = 0.01  # relative, of the stiffness of two modes that are a pair
@@ -161,7 +161,7 @@ def _largest_angle(v: Array, w: Array, c: Array, order: int) -> float:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModalFindings:
+class ModalFindings(Result):
     """The modal base with alpha, compared with that for alpha = 1.
 
     Attributes
@@ -199,14 +199,6 @@ class ModalFindings:
     def __repr__(self) -> str:
         base = self.after
         return f"<ModalFindings of {base.matrix.instrument}: {base.modes.stiffness.size} modes>"
-
-    def _repr_html_(self) -> str:
-        from truenewton.calibration.words import warning_lines
-        from truenewton.modal.summary import headline, summary_rows
-
-        rows = [row for row in summary_rows(self) if row[1]]
-        rows.append(("verdict on alpha", str(self.calibration.verdict)))
-        return html_table(headline(self), rows, warning_lines(self.warnings))
 
     @cached_property
     def before(self) -> ModalBase:
@@ -428,8 +420,8 @@ def _of_segments(
         raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
-        if calibration is not None and number in calibration.refused:
-            fault, remedy = calibration.refused[number][0]
+        if calibration is not None and number in calibration.failed:
+            fault, remedy = calibration.failed[number][0]
             raise RankDeficient(fault, remedy=remedy)
         here = data.of(number)
         own = pupil_of(layout.part(here)).radius

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.words import row, warning_lines
+from truenewton.calibration.summary import row, warning_lines
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.parts import Parts, has_parts
+from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import counted, percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns, at least
@@ -125,6 +126,15 @@ def headline(findings: ModalFindings) -> str:
     )
 
 
+@summary_of.register(ModalFindings)
+def _summary(findings: ModalFindings | Parts[ModalFindings]) -> Summary | None:
+    if has_parts(findings):
+        return None
+    rows = [row for row in summary_rows(findings) if row[1]]
+    rows.append(("verdict on alpha", str(findings.calibration.verdict)))
+    return Summary(headline(findings), rows, warning_lines(findings.warnings))
+
+
 def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     """Return names and texts of the results; some texts are empty."""
     base, measured = findings.after, findings.measured
@@ -156,7 +166,7 @@ def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> lis
     """Return the lines of the summary, of several segments one after the other."""
     if has_parts(findings):
         of_each = {number: lines(one, limits) for number, one in findings.found.items()}
-        for number, fault, remedy in findings.refusals:
+        for number, fault, remedy in findings.failures:
             of_each[number] = [f"segment {number}: no modes: {fault}; {remedy}"]
         return [line for number in findings.numbers for line in of_each[number]]
     return [
@@ -229,7 +239,7 @@ def values(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> di
     """Return the values for a script."""
     if has_parts(findings):
         of_each = {number: values(one, limits) for number, one in findings.found.items()}
-        for number, (fault, *_) in findings.refused.items():
+        for number, (fault, *_) in findings.failed.items():
             of_each[number] = {"fault": fault._asdict()}
         return {"segments": [{"segment": k} | of_each[k] for k in findings.numbers]}
     base, measured = findings.after, findings.measured

@@ -16,7 +16,7 @@ from truenewton.acquisition.load_order import (
     without_remounting,
 )
 from truenewton.acquisition.taker import POSITION_SIGMAS, POSITION_TOLERANCE
-from truenewton.calibration.words import warning_lines
+from truenewton.calibration.summary import warning_lines
 from truenewton.estimation.findings.scale_budget import scale_budget
 from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction
 from truenewton.rounding import counted, percent

@@ -3,5 +3,5 @@
 known      what the earlier calibration knows, and which errors a new run shares
 short_run  the likelihood of the short run, its bad rows, who has moved
 fit        the recalibration itself, and its result
-words      in words and numbers: terminal, script
+summary    in words and numbers: terminal, script
 """

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.verdict import Verdict, judged, refusal_of, refuse_unusable
-from truenewton.calibration.written import CALIBRATIONS
+from truenewton.calibration.result import CALIBRATIONS, AnyCalibration, Calibration
+from truenewton.calibration.verdict import refusal_of, refuse_unusable
 from truenewton.errors import FormatError
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import ErrorKind, ErrorSource, Scale
-from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.finding import Finding, Verdict, judged
 from truenewton.estimation.findings.scale_budget import (
     MAGNET_COEFFICIENT,
     WeightErrors,
@@ -37,8 +36,7 @@ from truenewton.records.parts import (
 from truenewton.records.source import Source
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.file import TRACKINGS
-from truenewton.tracking.law import Tracking
+from truenewton.tracking.law import TRACKINGS, Tracking
 
 Known = Calibration | Tracking
 KnownOfSegments = Parts[Calibration] | Parts[Tracking]

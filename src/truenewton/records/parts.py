@@ -1,16 +1,15 @@
 """A mirror in several segments: a part for each number, or the reason why there is none.
 
 Each segment is a body of its own, and what is done to one body is done to each. `Parts` holds the
-results; its file is derived from the file of one (`PartKind`).
+results; their file is derived from the file of one (`ResultKind`).
 """
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -28,19 +27,9 @@ from truenewton.errors import (
     located,
 )
 from truenewton.files.content import FitsFile
-from truenewton.files.fits import write_fits
-from truenewton.files.format import (
-    Attribute,
-    Column,
-    FileFormat,
-    Keyword,
-    TableFormat,
-    iso,
-    quantities,
-    value_of,
-)
+from truenewton.files.format import Attribute, Column, FileFormat, TableFormat, quantities, value_of
 from truenewton.progress import telling, telling_of
-from truenewton.records.file import ENABLED, ID, NZ, X, Y
+from truenewton.records.result import Result, ResultKind, verdict_of
 from truenewton.records.segment import require_segment
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
@@ -51,7 +40,7 @@ if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
 Part = TypeVar("Part")
-Result = TypeVar("Result")
+Made = TypeVar("Made")
 Faults = tuple[Fault, ...]
 
 
@@ -72,13 +61,13 @@ class InParts(Generic[Part]):
         The mirror.
     layout
         The n actuators of all segments.
-    refused
+    failed
         Why segments have no part, each with its remedy, by number.
     """
 
     instrument: str
     layout: Layout
-    refused: Mapping[int, Faults] = field(default_factory=dict, kw_only=True)
+    failed: Mapping[int, Faults] = field(default_factory=dict, kw_only=True)
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -95,8 +84,8 @@ class InParts(Generic[Part]):
         RankDeficient
             It has no part; the message says why.
         """
-        if number in self.refused:
-            fault, remedy = self.refused[number][0]
+        if number in self.failed:
+            fault, remedy = self.failed[number][0]
             raise RankDeficient(f"segment {number} gave no alpha: {fault}", remedy=remedy)
         require_segment(number, self.numbers)
         return self._part(number)
@@ -113,11 +102,11 @@ class InParts(Generic[Part]):
         return [one for one in ids if one in self.layout.id[self.of(number)]]
 
     def map(
-        self, function: Callable[[Part], Result], executor: Executor | None = None
-    ) -> Parts[Result]:
+        self, function: Callable[[Part], Made], executor: Executor | None = None
+    ) -> Parts[Made]:
         """Return what a function gives of each part.
 
-        A part of which it raises one of `errors` is refused, and does not harm the others.
+        A part of which it raises one of `errors` has failed, and does not harm the others.
 
         Parameters
         ----------
@@ -136,14 +125,14 @@ class InParts(Generic[Part]):
 
     def solved(
         self,
-        solver: Callable[[int], Callable[[Part], Result]],
+        solver: Callable[[int], Callable[[Part], Made]],
         what: str,
         executor: Executor | None = None,
-    ) -> Parts[Result]:
+    ) -> Parts[Made]:
         """Return the same, of a function for each number; ``what`` names its result."""
-        numbers = [number for number in self.numbers if number not in self.refused]
+        numbers = [number for number in self.numbers if number not in self.failed]
 
-        def pairs() -> Iterator[tuple[Callable[[Part], Result], Part] | Fault]:
+        def pairs() -> Iterator[tuple[Callable[[Part], Made], Part] | Fault]:
             for number in numbers:
                 try:
                     yield solver(number), self.part(number)
@@ -153,27 +142,27 @@ class InParts(Generic[Part]):
                     yield _fault_of(error)
 
         answers = (map if executor is None else executor.map)(_attempt, pairs())
-        found: dict[int, Result] = {}
-        refused = dict(self.refused)
+        found: dict[int, Made] = {}
+        failed = dict(self.failed)
         told = telling_of(answers, len(numbers), "segments")
         for number, answer in zip(numbers, told, strict=True):
             if isinstance(answer, Fault):
-                refused[number] = (answer,)
+                failed[number] = (answer,)
             else:
                 found[number] = answer
         if not found:
-            number, ((fault, remedy), *_) = next(iter(refused.items()))
+            number, ((fault, remedy), *_) = next(iter(failed.items()))
             raise RankDeficient(
                 f"no segment gives {what}; segment {number}: {fault}", remedy=remedy
             )
-        return Parts(self.instrument, self.layout, found, refused=refused)
+        return Parts(self.instrument, self.layout, found, failed=failed)
 
 
 def _fault_of(error: TrueNewtonError) -> Fault:
     return Fault(f"{error.path}: {error.fault}" if error.path else error.fault, error.remedy)
 
 
-def _attempt(pair: tuple[Callable[[Part], Result], Part] | Fault) -> Result | Fault:
+def _attempt(pair: tuple[Callable[[Part], Made], Part] | Fault) -> Made | Fault:
     """Return what a function gives of a part, or why it gives nothing."""
     if isinstance(pair, Fault):
         return pair
@@ -196,7 +185,7 @@ def _attempt(pair: tuple[Callable[[Part], Result], Part] | Fault) -> Result | Fa
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Parts(InParts[Part]):
+class Parts(InParts[Part], Result):
     """What was found of the segments of a mirror, each by itself.
 
     `calibrate`, `track`, `recalibrate` and `find_modes` return it of data in several segments.
@@ -210,7 +199,7 @@ class Parts(InParts[Part]):
         The n actuators of all segments.
     found
         What was found of a segment, as a `Calibration`, by its number.
-    refused
+    failed
         Why nothing was found of the others, each with its remedy, by number.
 
     Raises
@@ -221,7 +210,7 @@ class Parts(InParts[Part]):
     Examples
     --------
     >>> made = tn.calibrate(tn.SegmentedData(stiffness=both), processes=1)
-    >>> {number: one.method for number, one in made.found.items()}, len(made.refused)
+    >>> {number: one.method for number, one in made.found.items()}, len(made.failed)
     ({1: 'ml', 2: 'ml'}, 0)
     >>> made.column("alpha").shape, made.part(2).alpha.shape
     ((90,), (45,))
@@ -232,7 +221,7 @@ class Parts(InParts[Part]):
     found: Mapping[int, Part]
 
     def __post_init__(self) -> None:
-        numbers = sorted((*self.found, *self.refused))
+        numbers = sorted((*self.found, *self.failed))
         if not self.found or tuple(numbers) != self.numbers:
             raise FormatError(
                 "SEGMENTS does not name each segment of the actuators once",
@@ -248,34 +237,27 @@ class Parts(InParts[Part]):
                     f"the actuators of segment {number} are not those of the mirror",
                     remedy="make the file again",
                 )
-        for name in ("found", "refused"):
+        for name in ("found", "failed"):
             ordered = dict(sorted(getattr(self, name).items()))
             object.__setattr__(self, name, MappingProxyType(ordered))
 
     def __repr__(self) -> str:
-        no = f", {len(self.refused)} refused" if self.refused else ""
-        kind = type(self._first).__name__
+        no = f", {len(self.failed)} failed" if self.failed else ""
+        kind = type(self._one).__name__
         return f"<Parts of {self.instrument}: {kind} of {counted(self.numbers, 'segment')}{no}>"
-
-    def _repr_html_(self) -> str | None:
-        kind = KINDS.get(type(self._first))
-        return kind.html(self) if kind and kind.html else None
 
     def _part(self, number: int) -> Part:
         return self.found[number]
 
     @property
-    def _first(self) -> Part:
+    def _one(self) -> Part:
+        """What was found of the first segment."""
         return next(iter(self.found.values()))
 
     @property
-    def _kind(self) -> PartKind[Part]:
-        return KINDS[type(self._first)]
-
-    @property
-    def refusals(self) -> tuple[tuple[int, str, str], ...]:
-        """The same as ``refused``, in rows: number, fault and remedy."""
-        return tuple((number, *one) for number, faults in self.refused.items() for one in faults)
+    def failures(self) -> tuple[tuple[int, str, str], ...]:
+        """The same as ``failed``, in rows: number, fault and remedy."""
+        return tuple((number, *one) for number, faults in self.failed.items() for one in faults)
 
     def column(self, attribute: Attribute) -> Array:
         """Return (n,) a quantity of the actuators by its name, as 'alpha' or 'errors.1'."""
@@ -284,10 +266,10 @@ class Parts(InParts[Part]):
             out[self.of(number)] = value_of(one, attribute)
         return out
 
-    @property
+    @cached_property
     def verdict(self) -> Any:
         """The verdict on all calibrations together; each finding names its segments."""
-        return self._kind.verdict(self)
+        return verdict_of.dispatch(type(self._one))(self)
 
     @property
     def table(self) -> QTable:
@@ -298,31 +280,8 @@ class Parts(InParts[Part]):
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw alpha on the map of the actuators (paper, fig. 6); return the axes."""
-        drawn: Axes = self._kind.plot_map(self, ax)
+        drawn: Axes = type(self._one).plot_map(self, ax)  # type: ignore[attr-defined]
         return drawn
-
-    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write all parts into one file, as one of them is written (docs/files.md).
-
-        Raises
-        ------
-        OutputExists, OutputFailed
-        """
-        self._kind.write(self, path, overwrite=overwrite)
-
-
-def write_parts(
-    parts: Parts[Any], path: str | os.PathLike[str], *, overwrite: bool = False
-) -> None:
-    """Write parts as a FITS file, the extensions of each under its number as EXTVER.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
-    kind = parts._kind
-    write_fits(path, kind.whole, parts, versions=parts.found, of_version=kind.form,
-               overwrite=overwrite)  # fmt: skip
 
 
 def refuse_other_mirror(given: Any, mirror: Any, than: str, path: str, remedy: str) -> None:
@@ -353,126 +312,12 @@ def by_number(made: Part | Parts[Part]) -> Mapping[int, Part]:
     return made.found if isinstance(made, Parts) else {0: made}
 
 
-def apply(function: Callable[[Part], Result], made: Part | Parts[Part]) -> Result | Parts[Result]:
+def apply(function: Callable[[Part], Made], made: Part | Parts[Part]) -> Made | Parts[Made]:
     """Return what a function gives of one body, or of each part."""
     return made.map(function) if isinstance(made, Parts) else function(made)
 
 
-# -- the file of all parts ------------------------------------------------------------------------
-
-REFUSED = TableFormat(
-    "REFUSED",
-    (
-        Column("SEGMENT", "0", kind="int"),
-        Column("FAULT", "1", kind="str"),
-        Column("REMEDY", "2", kind="str"),
-    ),
-    of="refusals",
-    optional=True,
-)
-SEGMENT = Column("SEGMENT", "layout.segment", kind="int")
-SHARED = ("INSTRUME", "DATE-OBS", "DATE-END", "VERDICT")  # keywords of one body, and of all
-
-
-def _unsupported(parts: Parts[Any], *_: object, **__: object) -> Any:
-    raise TypeError(f"this is not known of {parts!r}")
-
-
-@dataclass(frozen=True, eq=False)
-class PartKind(Generic[Part]):
-    """How parts of one class are kept in a file, judged and drawn together.
-
-    Attributes
-    ----------
-    form, read
-        The file of one body; its first extension has a row for each actuator.
-    name
-        Of the table that has a row for each actuator of all segments.
-    summary
-        Keywords of one body that become columns of SEGMENTS, and what stands for a segment that was
-        refused.
-    counts
-        Further columns of SEGMENTS: integers of a part by name.
-    verdict, html, plot_map, write
-        What these methods of `Parts` call.
-    """
-
-    form: FileFormat
-    read: Callable[[FitsFile], Part]
-    name: str
-    summary: Mapping[str, Any]
-    counts: Mapping[str, Callable[[Part], int]] = field(default_factory=dict)
-    verdict: Callable[..., Any] = _unsupported
-    html: Callable[..., str] | None = None
-    plot_map: Callable[..., Any] = _unsupported
-    write: Callable[..., None] = write_parts
-
-    @cached_property
-    def actuators(self) -> TableFormat:
-        """The table of all actuators; a column that a part may lack is left out."""
-        places = (ID, X, Y, NZ)
-        own = [
-            Column(column.name, partial(_column, column.attribute), column.unit)
-            for column in self.form.extensions[0].columns  # type: ignore[union-attr]
-            if column not in places and column.absent is not None
-        ]
-        return TableFormat(self.name, (ID, X, Y, SEGMENT, *own, NZ, ENABLED))
-
-    @cached_property
-    def whole(self) -> FileFormat:
-        """The file of all parts, but for the extensions of each."""
-        keywords = {keyword.name: keyword for keyword in self.form.keywords}
-        segments = [Column("SEGMENT", lambda parts: parts.numbers, kind="int")]
-        segments += [_summary(keywords[name], none) for name, none in self.summary.items()]
-        segments += [
-            Column(name, partial(_of_segments, count, 0), kind="int")
-            for name, count in self.counts.items()
-        ]
-        return FileFormat(
-            tuple(_shared(keyword) for name, keyword in keywords.items() if name in SHARED),
-            (self.actuators, TableFormat("SEGMENTS", tuple(segments)), REFUSED),
-        )
-
-
-KINDS: dict[type, PartKind[Any]] = {}
-
-
-def _column(attribute: Attribute, parts: Parts[Any]) -> Array:
-    """Return (n,) what `Parts.column` does."""
-    return parts.column(attribute)
-
-
-def _of_found(attribute: Attribute, parts: Parts[Any]) -> dict[int, Any]:
-    """Return an attribute of each part by its number."""
-    return {number: value_of(one, attribute) for number, one in parts.found.items()}
-
-
-def _of_segments(attribute: Attribute, none: Any, parts: Parts[Any]) -> list[Any]:
-    """Return an attribute of each part, or another value if there is no part or no value."""
-    values = _of_found(attribute, parts)
-    return [none if values.get(k) is None else values[k] for k in parts.numbers]
-
-
-def _summary(keyword: Keyword, none: Any) -> Column:
-    """Return a keyword of one body as a column of SEGMENTS."""
-    values = partial(_of_segments, keyword.attribute, none)
-    if keyword.kind == "date":
-        return Column(keyword.name, lambda parts: [d and iso(d) for d in values(parts)], kind="str")
-    kind = "int" if keyword.kind == "count" else keyword.kind
-    return Column(keyword.name, values, keyword.unit or None, kind)
-
-
-def _shared(keyword: Keyword) -> Keyword:
-    """Return a keyword of one body as the file of all parts has it."""
-    if keyword.name in ("DATE-OBS", "DATE-END"):
-        choose = min if keyword.name == "DATE-OBS" else max
-        dates = partial(_of_found, keyword.attribute)
-        return replace(keyword, attribute=lambda parts: choose(dates(parts).values()))
-    of_all = keyword.name == "VERDICT"
-    return replace(keyword, comment="of all segments") if of_all else keyword
-
-
-def parts_from(file: FitsFile, kind: PartKind[Part]) -> Parts[Part]:
+def parts_from(file: FitsFile, kind: ResultKind[Part]) -> Parts[Part]:
     """Return the parts that a file holds.
 
     Raises
@@ -484,10 +329,10 @@ def parts_from(file: FitsFile, kind: PartKind[Part]) -> Parts[Part]:
     form = kind.whole
     values = file.values(FileFormat(form.keywords, (*form.extensions, alpha)))
     layout = file.filled(Layout, values["layout"])
-    rows = values.get("refusals", {"0": np.empty(0, dtype=int), "1": (), "2": ()})
-    refused: dict[int, Faults] = {}
+    rows = values.get("failures", {"0": np.empty(0, dtype=int), "1": (), "2": ()})
+    failed: dict[int, Faults] = {}
     for number, *fault in zip(rows["0"].tolist(), rows["1"], rows["2"], strict=True):
-        refused[number] = (*refused.get(number, ()), Fault(*fault))
+        failed[number] = (*failed.get(number, ()), Fault(*fault))
     found = {}
     for number, version in file.versions.items():
         try:
@@ -495,7 +340,7 @@ def parts_from(file: FitsFile, kind: PartKind[Part]) -> Parts[Part]:
         except TrueNewtonError as error:
             raise error.changed(fault=f"of segment {number}, {error.fault}") from None
     try:
-        made = Parts(values["instrument"], layout, found, refused=refused)
+        made = Parts(values["instrument"], layout, found, failed=failed)
     except TrueNewtonError as error:
         raise located(error, file.path) from None
     if not np.array_equal(made.column("alpha"), values["alpha"], equal_nan=True):
@@ -505,7 +350,7 @@ def parts_from(file: FitsFile, kind: PartKind[Part]) -> Parts[Part]:
     return made
 
 
-def body_or_parts_from(file: FitsFile, kind: PartKind[Part]) -> Part | Parts[Part]:
+def body_or_parts_from(file: FitsFile, kind: ResultKind[Part]) -> Part | Parts[Part]:
     """Return what a file holds: of one body, or of several segments.
 
     Raises

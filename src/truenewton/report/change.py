@@ -176,7 +176,7 @@ def _change_of_segments(one: Parts[Calibration], other: Parts[Calibration]) -> C
     if not parts:
         raise RankDeficient("no segment has alpha in both", remedy="look at each file with `info`")
     lacking = {number: () for number in one.numbers if number not in parts}
-    whole = Parts(one.instrument, a, parts, refused=lacking)
+    whole = Parts(one.instrument, a, parts, failed=lacking)
     relative, sigmas = whole.column("relative"), whole.column("sigmas")
     limit = float(normal_isf(FALSE_ALARM / 2 / np.isfinite(sigmas).sum()))
     return Change(

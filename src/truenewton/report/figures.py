@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.summary import error_budget
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
@@ -32,9 +33,9 @@ from truenewton.modal.modal_base import Budget
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.parts import Parts, has_parts
-from truenewton.report.budget import error_budget
+from truenewton.records.result import figures_of
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
-from truenewton.report.investigate import Findings
+from truenewton.report.findings import Findings
 from truenewton.report.layers import calibration_layers
 from truenewton.rounding import percent
 
@@ -49,7 +50,8 @@ MAPS = (  # written; that of alpha is the paper's
 )
 
 
-def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
+@figures_of.register(Findings)
+def findings_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
     """Return what draws each figure that findings allow, by name; it takes axes or none."""
     c, evidence = findings.calibration, findings.evidence
     drawn: dict[str, Callable[..., Axes]] = {}
@@ -72,7 +74,7 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
 
 def still_figures(findings: Findings | Parts[Calibration]) -> dict[str, Callable[..., Axes]]:
     """Return the figures that are written beside the paper's, by name; none of segments."""
-    drawn = {} if has_parts(findings) else figures_of(findings)
+    drawn = {} if has_parts(findings) else findings_figures(findings)
     return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
 
 

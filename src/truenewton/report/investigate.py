@@ -1,12 +1,9 @@
-"""What a report tells of: the calibration, or why there is none, and the evidence for it."""
+"""From data to the findings of a report."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, TypeVar, overload
-
-from matplotlib.axes import Axes
 
 from truenewton.arrays import Array
 from truenewton.calibration.methods import (
@@ -19,93 +16,23 @@ from truenewton.calibration.methods import (
 )
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.errors import (
-    Fault,
     NotConverged,
     RankDeficient,
     TooManyOutliers,
     TrueNewtonError,
-    UnknownName,
 )
 from truenewton.estimation.findings.estimate import Estimate
 from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
-from truenewton.figures.style import on_screen
-from truenewton.modal.findings import ModalFindings, find_modes
+from truenewton.modal.findings import find_modes
 from truenewton.modal.measured_stiffness import motion_reader
 from truenewton.reading import Read, holds_alpha
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
-from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.report.evidence import (
-    Evidence,
-    RowImbalance,
-    campaign_evidence,
-    stiffness_evidence,
-)
+from truenewton.report.evidence import RowImbalance, campaign_evidence, stiffness_evidence
+from truenewton.report.findings import Findings
 
 MOST_MODES = 1500  # eigenmodes of thousands of actuators take minutes
-
-
-@dataclass(frozen=True, eq=False)
-class Findings:
-    """All that a report tells of one set of data, or of a finished calibration.
-
-    Attributes
-    ----------
-    data
-        What was given: data, or a finished calibration.
-    calibration
-        Its result; None where the data cannot give one.
-    evidence
-        Residuals, balance and singular values; None without data or without calibration.
-    faults
-        Why there is no calibration, each with its remedy.
-    modes
-        The modal base that the data and alpha give, if they do.
-    no_modes
-        Why they do not, in a sentence; empty without data or without calibration.
-    """
-
-    data: Campaign | StiffnessMatrix | Calibration
-    calibration: Calibration | None
-    evidence: Evidence | None = None
-    faults: tuple[Fault, ...] = ()
-    modes: ModalFindings | None = None
-    no_modes: str = ""
-
-    @property
-    def inputs(self) -> tuple[Source, ...]:
-        """The files: those that went into the calibration, or those that did not suffice."""
-        known = self.calibration or self.data
-        if isinstance(known, Calibration):
-            return known.sources
-        records = known.cycles if isinstance(known, Campaign) else (known,)
-        return tuple(record.source for record in records if record.source)
-
-    def plot(self, name: str, ax: Axes | None = None) -> Axes:
-        """Draw a figure by its name, as 'budget', 'map-leverage' or 'modes'; return the axes.
-
-        Raises
-        ------
-        UnknownName
-            There is no such figure; the message names those that are.
-        ValueError
-            These findings do not hold what it shows.
-        """
-        from truenewton.report.figures import figures_of
-
-        drawn = figures_of(self)
-        if name in drawn:
-            with on_screen():
-                return drawn[name](ax=ax)
-        if name in ("residuals", "singular-values", "balance"):
-            raise ValueError("a calibration file holds no residuals; give the cycles")
-        if name == "temperatures":
-            raise ValueError("only the cycles of a campaign have times")
-        if name.startswith("modes"):
-            raise ValueError(self.no_modes or "a calibration file tells no modes; give the data")
-        remedy = f"choose {', '.join(drawn)}"
-        raise UnknownName(f"there is no figure '{name}'", remedy=remedy, got=name)
 
 
 @overload

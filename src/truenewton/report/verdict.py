@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.verdict import Verdict, no_alpha, without_unusable
-from truenewton.calibration.words import as_sentences
+from truenewton.calibration.summary import as_sentences
+from truenewton.calibration.verdict import without_unusable
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale
-from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
 from truenewton.estimation.findings.scale_budget import scale_total, typical
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.source import Source
 from truenewton.report.change import Change
-from truenewton.report.investigate import Findings
+from truenewton.report.findings import Findings
 from truenewton.rounding import counted, named, percent, significant, to_digits, with_error
 
 Reported = Findings | Change | Parts[Calibration]
@@ -97,7 +97,7 @@ def verdict_on_whole(c: Parts[Calibration]) -> Headline:
     alpha, errors = c.column("alpha"), c.column("error")
     known = np.isfinite(alpha)
     error = typical(errors[known], alpha[known])
-    part = f"{len(c.found)} of" if c.refused else "all"
+    part = f"{len(c.found)} of" if c.failed else "all"
     sentence = (
         f"Alpha of {part} {counted(c.numbers, 'segment')} of {c.instrument} is known"
         f" ({counted(int(known.sum()), 'actuator')}), typically to {percent(error)}."

@@ -2,5 +2,5 @@
 
 proof    the paper's proof code (sec. 4): without noise, alpha comes back
 scoring  a calibration of simulated data beside the truth that made them
-words    both in words and numbers
+summary  both in words and numbers
 """

@@ -2,15 +2,12 @@
 
 days        the calibrations, gathered, checked, put in order
 linear_fit  the line of every actuator through its days, each alone
-scatter     from day to day: of each actuator, and of all in common
-outlying_day  that lies off the law of the others
+scatter     from day to day: of each actuator, of all in common, and days that lie off the law
 family      one physics, each actuator its own deviation
 fit         from days to the law
-law         the result: alpha at any temperature and time
-validity    when to calibrate again
-file        the tracking file (docs/files.md)
+law         the result: alpha at any temperature and time, its file, and when to calibrate again
 figures     alpha against temperature and time; the family
-words       in words and numbers: terminal, script
+summary     in words and numbers: terminal, script
 """
 
-import truenewton.tracking.file  # noqa: F401  # several segments are kept as it says
+import truenewton.tracking.summary  # noqa: F401  # registers what its results can do

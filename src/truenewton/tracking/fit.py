@@ -40,8 +40,7 @@ from truenewton.tracking.family import (
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
 from truenewton.tracking.linear_fit import LinearFit, linear_fit, relative_days
-from truenewton.tracking.outlying_day import widened
-from truenewton.tracking.scatter import Scatter, scatter_of
+from truenewton.tracking.scatter import Scatter, scatter_of, widened
 
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
 PATIENCE = 2  # looks behind an actuator that hides another

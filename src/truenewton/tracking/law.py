@@ -1,4 +1,4 @@
-"""What tracking finds: alpha at any temperature and time."""
+"""What tracking finds: alpha at any temperature and time, its file, and how long it holds."""
 
 from __future__ import annotations
 
@@ -10,14 +10,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from truenewton.arrays import Array, freeze
-from truenewton.calibration.result import LARGEST_ALPHA
+from truenewton.calibration.result import LARGEST_ALPHA, MAX_NUMBER
 from truenewton.chance import chi2_sf
 from truenewton.errors import FormatError, RankDeficient
 from truenewton.estimation.findings.code import Level
-from truenewton.files.fits import write_fits
-from truenewton.files.format import quantities
+from truenewton.files.content import FitsFile
+from truenewton.files.fits import read_fits
+from truenewton.files.format import (
+    Column,
+    FileFormat,
+    ImageFormat,
+    Keyword,
+    TableFormat,
+    quantities,
+)
 from truenewton.quantities import taking_units
-from truenewton.rounding import html_table
+from truenewton.reading import select_segment
+from truenewton.records.file import ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.parts import body_or_parts_from
+from truenewton.records.result import KINDS, Result, ResultKind
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.family import Family
@@ -99,7 +110,7 @@ class AlphaPrediction:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Tracking:
+class Tracking(Result):
     """alpha_i(T, t) = alpha_i (1 + k_i (T - T0)) + d_i (t - t0).
 
     Arrays over actuators are in the order of ``layout``, NaN where an actuator is not enabled in
@@ -190,11 +201,6 @@ class Tracking:
             f" {' and '.join(self.effects)}>"
         )
 
-    def _repr_html_(self) -> str:
-        from truenewton.tracking.words import headline, remarks, summary_rows
-
-        return html_table(headline(self), summary_rows(self), remarks(self))
-
     @property
     def span(self) -> tuple[float, float] | None:
         """Coldest and warmest of the days [deg C]; None where they do not tell temperature."""
@@ -215,8 +221,6 @@ class Tracking:
     @property
     def table(self) -> QTable:
         """One row per actuator: alpha at T0 and t0, k and d with their errors and units."""
-        from truenewton.tracking.file import ACTUATORS
-
         return quantities(self, ACTUATORS, without=("X", "Y", "NZ"))
 
     @taking_units(temperature="deg_C")
@@ -265,13 +269,281 @@ class Tracking:
             alpha, np.sqrt(np.diag(covariance)), covariance, systematic_covariance
         )
 
-    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the tracking file (docs/files.md).
 
-        Raises
-        ------
-        OutputExists, OutputFailed
-        """
-        from truenewton.tracking.file import TRACKING
+# -- its file -------------------------------------------------------------------------------------
 
-        write_fits(path, TRACKING, self, overwrite=overwrite)
+UNITS = {"temperature": "1/K", "drift": "1/yr"}
+
+ACTUATORS = TableFormat(
+    "TRACKING",
+    (
+        ID,
+        X,
+        Y,
+        NZ,
+        Column("ALPHA", "alpha"),
+        Column("E_ALPHA", lambda t: t.errors[0]),
+        Column("K", "coefficient", "1/K"),
+        Column("E_K", lambda t: t.errors[1], "1/K"),
+        Column("DRIFT", "drift", "1/yr"),
+        Column("E_DRIFT", lambda t: t.errors[2], "1/yr"),
+        Column("SCATTER", "scatter", absent=0.0),
+    ),
+)
+FAMILIES = TableFormat(
+    "FAMILIES",
+    (
+        Column("EFFECT", "effect", kind="str", width=11),
+        Column("UNIT", lambda family: UNITS[family.effect], kind="str", width=4),
+        Column("MEAN", "mean"),
+        Column("E_MEAN", "mean_error"),
+        Column("MEAN_LO", "mean_interval.0"),
+        Column("MEAN_HI", "mean_interval.1"),
+        Column("SPREAD", "spread"),
+        Column("SPREAD_LO", "spread_interval.0"),
+        Column("SPREAD_HI", "spread_interval.1"),
+        Column("MEMBERS", "members", kind="int"),
+    ),
+    of="families",
+)
+DEPARTURES = TableFormat(
+    "DEPARTURES",
+    (
+        Column("ID", "actuator", kind="int"),
+        Column("EFFECT", "effect", kind="str", width=11),
+        Column("SIGMAS", "sigmas"),
+        Column("CHANCE", "probability"),
+    ),
+    of="outliers",
+)
+DAYS = TableFormat(
+    "DAYS",
+    (
+        Column("FILE", "name", kind="str"),
+        Column("DATE", "date", kind="date", width=26),
+        Column("TEMPERATURE", "temperature", "deg_C"),
+        Column("ALPHA", "alpha", each="TRACKING"),
+        Column("E_STAT", "error", each="TRACKING"),
+        Column("VERDICT", "verdict", kind="str", absent=""),
+    ),
+    of="days",
+)
+TRACKING = FileFormat(
+    (
+        INSTRUMENT,
+        Keyword(
+            "DATE-OBS", lambda t: t.days[0].date, "UTC, middle of the first day's data", kind="date"
+        ),
+        Keyword(
+            "DATE-END", lambda t: t.days[-1].date, "UTC, middle of the last day's data", kind="date"
+        ),
+        Keyword("DATE-REF", "date", "UTC, t0: ALPHA holds here", kind="date"),
+        Keyword("TEMPERAT", "temperature", "T0: ALPHA holds here", "deg_C", absent=np.nan),
+        Keyword("CHI2", "chi2", "of the days about the lines"),
+        Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="int"),
+        Keyword("SCATTER", "common_scatter", "from day to day, of all in common", absent=0.0),
+        Keyword("SCATDOF", "scatter_degrees", "its degrees of freedom", kind="int", absent=0),
+    ),
+    (
+        ACTUATORS,
+        ImageFormat("COVARIANCE", "covariance"),
+        ImageFormat("SYSTEMATIC", "systematic_covariance"),
+        FAMILIES,
+        DEPARTURES,
+        DAYS,
+        TableFormat("LIMITS", (Column("TEXT", "limits", kind="str"),)),
+    ),
+)
+
+
+def read_tracking(path: str | os.PathLike[str], *, segment: int | None = None) -> Tracking:
+    """Read a tracking file; of a mirror in several segments that of one.
+
+    Parameters
+    ----------
+    path
+        The tracking file, as `Tracking.write` writes it.
+    segment
+        Number of the one.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, UnknownName, RankDeficient
+
+    Examples
+    --------
+    >>> tn.track(calibration, warm).write("track.fits")
+    >>> tn.read_tracking("track.fits")
+    <Tracking of P45: 2 calibrations, temperature>
+    """
+    found = body_or_parts_from(read_fits(path), TRACKINGS)
+    law: Tracking = select_segment(found, segment, path)
+    return law
+
+
+def tracking_from(file: FitsFile) -> Tracking:
+    """Return what a tracking file holds.
+
+    Raises
+    ------
+    FormatError
+        The file breaks the contract of a tracking file.
+    """
+    values = file.values(TRACKING, MAX_NUMBER)
+    alpha = values["alpha"]
+    file.require_covariances(3 * alpha.size, "ALPHA, K and DRIFT", "track again")
+    if not values["days"]["name"]:
+        raise FormatError("DAYS is empty", remedy="track again", path=file.path)
+    values["layout"]["enabled"] = file.enabled(alpha, "track again")
+    values["effects"] = values["families"]["effect"]
+    return file.filled(Tracking, values)
+
+
+TRACKINGS = ResultKind(
+    TRACKING,
+    tracking_from,
+    "LAW",
+    {
+        "DATE-REF": "",
+        "TEMPERAT": np.nan,
+        "CHI2": np.nan,
+        "DOF": 0,
+        "SCATTER": np.nan,
+        "SCATDOF": 0,
+    },
+    {"LEFT": lambda law: len(law.outliers)},
+)
+KINDS[Tracking] = TRACKINGS
+
+
+# -- when to calibrate again ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Validity:
+    """How long alpha holds to a wanted accuracy.
+
+    Errors of the weights are left out: a new calibration with the same weights would repeat them.
+    Nothing is promised where no day has been: temperatures end with those of the days, and times
+    as long after the last day as the days lasted.
+
+    Attributes
+    ----------
+    accuracy
+        Wanted: standard uncertainty relative to alpha, root mean square over actuators.
+    now
+        What the latest calibration has.
+    temperatures
+        Between which the latest calibration holds as it is, on its day [deg C]; None where its
+        effect is not known.
+    until
+        When it ceases to hold at its temperature; None where drift is not known.
+    law_temperatures, law_until
+        The same for `Tracking.alpha_at`, which takes temperature and time into account.
+    reach, reach_until
+        The temperatures of the days, and the last date that they tell of: no promise goes beyond.
+        None where the effect is not known.
+
+    Examples
+    --------
+    >>> validity = tn.validity_of(tn.track(calibration, warm), accuracy=0.005)
+    >>> validity.until is None  # nothing tells the drift
+    True
+    """
+
+    accuracy: float
+    now: float
+    temperatures: tuple[float, float] | None
+    until: datetime.datetime | None
+    law_temperatures: tuple[float, float] | None
+    law_until: datetime.datetime | None
+    reach: tuple[float, float] | None
+    reach_until: datetime.datetime | None
+
+
+def validity_of(tracking: Tracking, accuracy: float) -> Validity:
+    """Return how far from its temperature and date the latest calibration holds.
+
+    Used as it is, it is off by k (T - T_last) + d (t - t_last) beside its E_STAT, and by the
+    scatter of its day and of the other; the mean over actuators of the square of all is a parabola
+    in T - T_last and in t - t_last. So is that of what the law itself is uncertain by, and of the
+    scatter of a day about it, in T - T0 and t - t0.
+
+    Parameters
+    ----------
+    tracking
+        The law.
+    accuracy
+        Wanted: standard uncertainty relative to alpha, root mean square over actuators.
+
+    Examples
+    --------
+    >>> validity = tn.validity_of(tn.track(calibration, warm), accuracy=0.005)
+    >>> "from {:.0f} to {:.0f} deg C".format(*validity.temperatures or ())
+    'from 25 to 30 deg C'
+    """
+    t, last = tracking, tracking.days[-1]
+    on, form = np.isfinite(t.alpha), _law_variance(t)
+    between = 2 * _scatter_variance(t)
+    now = float(np.mean((last.error[on] / last.alpha[on]) ** 2)) + between
+    k = float(np.mean(t.coefficient[on] ** 2) + form[1, 1])
+    d = float(np.mean((t.drift[on] / t.alpha[on]) ** 2) + form[2, 2])
+    spare = max(accuracy**2 - now, 0.0)
+    warm, late = "temperature" in t.effects, "drift" in t.effects
+    reach = float(np.sqrt(spare / k)) if k > 0 else np.inf if spare else 0.0
+    away = last.temperature - t.temperature if warm else 0.0
+    years = (last.date - t.date) / YEAR if late else 0.0
+    span = _roots(form, accuracy**2, 1, years) if warm else None
+    end = _roots(form, accuracy**2, 2, away) if late else None
+    coldest, warmest = t.span or (0.0, 0.0)
+    latest = last.date + (last.date - t.days[0].date)
+
+    def within(low: float, high: float) -> tuple[float, float] | None:
+        span = max(low, coldest), min(high, warmest)
+        return span if span[0] <= span[1] else None
+
+    def by(start: datetime.datetime, away: float) -> datetime.datetime:
+        return latest if away >= (latest - start) / YEAR else start + away * YEAR
+
+    return Validity(
+        accuracy=accuracy,
+        now=float(np.sqrt(now)),
+        temperatures=within(last.temperature - reach, last.temperature + reach) if warm else None,
+        until=by(last.date, float(np.sqrt(spare / d)) if d > 0 else np.inf) if late else None,
+        law_temperatures=within(t.temperature + span[0], t.temperature + span[1]) if span else None,
+        law_until=by(t.date, end[1]) if end else None,
+        reach=t.span,
+        reach_until=latest if late else None,
+    )
+
+
+def _scatter_variance(tracking: Tracking) -> float:
+    """Return the mean square of what a day scatters by about the law."""
+    common = expanded(tracking.common_scatter, tracking.scatter_degrees)
+    return float(np.nanmean(tracking.scatter**2)) + common**2
+
+
+def _law_variance(tracking: Tracking) -> Array:
+    """Return (3, 3) the mean relative variance of alpha_at as a form in (1, T - T0, t - t0).
+
+    The readings' part and the scatter of days; k multiplies alpha, d does not.
+    """
+    on, n = np.isfinite(tracking.alpha), tracking.layout.n
+    alpha = tracking.alpha[on]
+    scale = np.array([1 / alpha, np.ones_like(alpha), 1 / alpha])
+    blocks = (tracking.covariance - tracking.systematic_covariance).reshape(3, n, 3, n)
+    own = np.einsum("aibi->abi", blocks)[:, :, on]
+    form = np.asarray(np.mean(own * scale[:, None] * scale[None], axis=2))
+    form[0, 0] += _scatter_variance(tracking)
+    return form
+
+
+def _roots(form: Array, limit: float, axis: int, other: float) -> tuple[float, float] | None:
+    """Return where the form meets the limit along one axis; None where it never stays below."""
+    at = np.array([1.0, 0.0, 0.0])
+    at[3 - axis] = other
+    a, b, c = form[axis, axis], form[axis] @ at, at @ form @ at - limit
+    if a <= 0.0 or b * b - a * c < 0.0:
+        return None
+    root = np.sqrt(b * b - a * c)
+    return float((-b - root) / a), float((-b + root) / a)

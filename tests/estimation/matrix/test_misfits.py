@@ -10,7 +10,7 @@ from studies.simulated_matrices import by_glass, drawn
 from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.calibration.words import summary_rows
+from truenewton.calibration.summary import summary_rows
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation.matrix import modes as matrix_modes
 from truenewton.estimation.matrix.couplings import pair_ratios, relative_couplings

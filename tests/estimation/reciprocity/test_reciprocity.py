@@ -15,7 +15,7 @@ from studies.simulated_matrices import by_glass, by_plate, drawn
 from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.calibration.words import summary_lines
+from truenewton.calibration.summary import summary_lines
 from truenewton.errors import (
     CampaignMismatch,
     NotConverged,

@@ -1,13 +1,14 @@
-"""One finding: what a bench, a file, an actuator or a fit did beside the model."""
+"""One finding: what a bench, a file, an actuator or a fit did beside the model; and the verdict."""
 
 from __future__ import annotations
 
 import json
 import string
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from truenewton.errors import Fault
 from truenewton.estimation.findings.catalogue import ENTRIES, Entry
 from truenewton.estimation.findings.code import Code, Concern, Level
 from truenewton.rounding import counted, listed, named, numbered, percent
@@ -237,3 +238,62 @@ def _own(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_own(each) for each in value]
     return value.item() if hasattr(value, "item") else value
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the stated errors of a result hold.
+
+    Attributes
+    ----------
+    level
+        'sound', 'usable', 'doubtful', 'rejected'; 'no alpha' of data that give none.
+    findings
+        What was found, the worst first; those of level 'sound' are notes and limit nothing.
+
+    Examples
+    --------
+    >>> print(calibration.verdict.level, len(calibration.verdict.findings))
+    usable 1
+    """
+
+    level: Level
+    findings: tuple[Finding, ...] = ()
+
+    def __str__(self) -> str:
+        if not self.faults:
+            return str(self.level)
+        more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
+        first = self.faults[0]
+        return f"{self.level}: {'; '.join(filter(None, (first.fault, first.remedy)))}{more}"
+
+    @property
+    def faults(self) -> tuple[Finding, ...]:
+        """The findings that limit the result."""
+        return tuple(each for each in self.findings if each.level < Level.SOUND)
+
+    @property
+    def notes(self) -> tuple[Finding, ...]:
+        """What is worth knowing and limits nothing: why a better method was not used."""
+        return tuple(each for each in self.findings if each.level is Level.SOUND)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The same for a script."""
+        return {
+            "level": str(self.level),
+            "findings": [each.as_values for each in self.findings],
+        }
+
+
+def judged(findings: Collection[Finding]) -> Verdict:
+    """Return the verdict on findings: its level is that of the worst, which stands first."""
+    ordered = sorted(distinct(findings), key=lambda each: each.level)
+    return Verdict(min((each.level for each in ordered), default=Level.SOUND), tuple(ordered))
+
+
+def no_alpha(faults: Collection[Fault]) -> Verdict:
+    """Return the verdict on data that give no alpha."""
+    return judged(
+        [Finding.of(Code.NO_ALPHA, fault=each.fault, remedy=each.remedy) for each in faults]
+    )

@@ -16,23 +16,28 @@ from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.words import headline, summary_rows
+from truenewton.calibration.summary import headline, summary_rows
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
 from truenewton.records.parts import has_parts
 from truenewton.records.source import Source
 from truenewton.report.change import Change
-from truenewton.report.figures import figures_of
-from truenewton.report.page.actuator_plots import palette
-from truenewton.report.page.modal_sections import modal_sections
-from truenewton.report.page.section import TextTable
+from truenewton.report.figures import findings_figures
 from truenewton.report.page.sections import (
+    TextTable,
     changed_segments,
     evidence_sections,
+    modal_sections,
     segment_sections,
     times,
 )
-from truenewton.report.page.views import Actuators, calibration_views, change_views, segment_views
+from truenewton.report.page.views import (
+    Actuators,
+    calibration_views,
+    change_views,
+    palette,
+    segment_views,
+)
 from truenewton.report.verdict import (
     Reported,
     sources_of,
@@ -117,7 +122,7 @@ def page(
         )  # fmt: skip
     c, instrument = findings.calibration, findings.data.instrument
     sections = (*evidence_sections(findings), *modal_sections(findings), times(findings))
-    figures = figures_of(findings)
+    figures = findings_figures(findings)
     return _rendered(
         title=f"{instrument}: calibration of its actuators",
         heading=headline(c) if c else f"{instrument}: no calibration",

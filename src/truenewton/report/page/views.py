@@ -1,30 +1,223 @@
-"""The views of the actuators, which share one selection: on the map, and ring by ring."""
+"""The views of the actuators, on the map and ring by ring, for Bokeh: they share one selection.
+
+All share one source. No text that comes from a file enters a figure, since Bokeh reads text between
+certain signs as formulas, but for what a tooltip shows, which it takes as it is.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource
+from bokeh.core.properties import value
+from bokeh.models import (
+    BasicTicker,
+    BoxSelectTool,
+    BoxZoomTool,
+    ColumnDataSource,
+    FixedTicker,
+    HoverTool,
+    LassoSelectTool,
+    LinearAxis,
+    LinearColorMapper,
+    PanTool,
+    ResetTool,
+    SaveTool,
+    TapTool,
+    WheelZoomTool,
+)
+from bokeh.models.annotations import ColorBar, Span
+from bokeh.palettes import Cividis256, PuOr11
+from bokeh.plotting import figure
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import Calibration
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.findings.scale_budget import typical
+from truenewton.figures.maps import (
+    bears_names,
+    dot_radius,
+    names_by_ring,
+    numbers_by_ring,
+    ring_edges,
+    ring_label,
+    ring_names,
+    ring_radii,
+    segment_places,
+)
+from truenewton.figures.style import ACCENT, ALARM, CROWDED, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.records.parts import Parts
 from truenewton.report.change import Change
-from truenewton.report.investigate import Findings
+from truenewton.report.findings import Findings
 from truenewton.report.layers import Layer, calibration_layers, segment_layers
-from truenewton.report.page.actuator_plots import (
-    Plot,
-    actuator_source,
-    alpha_by_ring,
-    change_by_ring,
-    mirror_map,
-)
 from truenewton.rounding import counted, percent, to_digits
-from truenewton.statics.layout import Layout, group_name, ring_of
+from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
+
+FONT = "system-ui, sans-serif"
+Plot = Any  # a figure of Bokeh, whose stubs lack many options
+
+
+def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSource:
+    """Return what all views of the actuators share: positions, values and texts of every layer."""
+    columns: dict[str, Any] = {
+        "id": layout.id.astype(np.int32),
+        group_name(layout): _shown_groups(layout),
+        "x": layout.x / MILLIMETRE,
+        "y": layout.y / MILLIMETRE,
+        "number": numbers_by_ring(layout).astype(np.int32),
+        "shown": layers[0].values.copy(),
+        "ink": ["#000000"] * layout.n,  # of the name on its dot; the page sets it
+    }
+    for layer in layers:
+        columns[layer.key] = np.array(layer.values)
+        columns[f"{layer.key}_text"] = list(layer.texts)
+    return ColumnDataSource(columns, name="actuators")
+
+
+def _shown_groups(layout: Layout) -> Any:
+    """Return (n,) the ring of each actuator from 1, or the number of its segment."""
+    shown = np.asarray(layout.segment) if layout.segments else group_of(layout) + 1
+    return shown.astype(np.int32)
+
+
+def mirror_map(
+    source: ColumnDataSource,
+    layout: Layout,
+    layers: tuple[Layer, ...],
+    edges: Sequence[Array] = (),
+) -> Plot:
+    """Return the map of the actuators; the page changes the layer that colours it.
+
+    With it the edges of the glass, (vertices, 2) polygons [m], where they are known.
+    """
+    plot = _empty_plot(sizing_mode="scale_width", aspect_ratio=0.92, match_aspect=True)
+    plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm)", "y (mm)"
+    plot.grid.visible = False
+    if radii := ring_radii(layout):
+        x, y = np.divide(ring_centre(layout), MILLIMETRE).tolist()
+        plot.circle(x=x, y=y, radius=radii, fill_color=None, line_color=FAINT, line_width=0.5,
+                    level="underlay")  # fmt: skip
+    if edges:
+        closed = [np.concatenate([edge, edge[:1]]).T / MILLIMETRE for edge in edges]
+        plot.multi_line(
+            xs=[x.tolist() for x, _ in closed], ys=[y.tolist() for _, y in closed],
+            line_color=INK, line_width=1, level="underlay",
+        )  # fmt: skip
+    low, high = layers[0].limits
+    mapper = LinearColorMapper(
+        palette=palette(layers[0]), low=low, high=high, nan_color="#ffffff", name="colours"
+    )
+    dots = plot.circle(
+        x="x", y="y", radius=dot_radius(layout), source=source,
+        fill_color={"field": "shown", "transform": mapper}, line_width=0.5,
+        line_color=INK if layout.n <= CROWDED else None,
+        selection_line_color=ALARM, selection_line_width=3.0,
+        nonselection_fill_alpha=0.35, nonselection_line_alpha=0.35,
+    )  # fmt: skip
+    if bears_names(layout):
+        plot.text(x="x", y="y", text={"field": "id"}, source=source, text_color={"field": "ink"},
+                  text_font=value(FONT), text_font_size="0.65em", text_align="center",
+                  text_baseline="middle", nonselection_text_alpha=0.6)  # fmt: skip
+    if places := segment_places(layout):
+        names, at_x, at_y = zip(*((str(k), x, y) for k, x, y in places), strict=True)
+        plot.text(x=at_x, y=at_y, text=names, text_color=INK,
+                  text_font=value(FONT), text_font_style="bold", text_font_size="1.1em",
+                  text_align="center", text_baseline="middle", padding=1, border_radius=3,
+                  background_fill_color="white", background_fill_alpha=0.8)  # fmt: skip
+    bar = ColorBar(color_mapper=mapper, title=layers[0].title, name="bar", height=12,
+                   title_text_font_style="normal", title_text_font=FONT,
+                   major_label_text_font=FONT)  # fmt: skip
+    plot.add_layout(bar, "below")
+    _add_actuator_tools(plot, dots, layout, layers)
+    return plot
+
+
+def palette(layer: Layer) -> tuple[str, ...]:
+    """Return the colours of a layer."""
+    return PuOr11 if layer.signed else Cividis256
+
+
+def alpha_by_ring(
+    source: ColumnDataSource, calibration: AnyCalibration, layers: tuple[Layer, ...]
+) -> Plot:
+    """Return alpha per actuator, ring by ring, with bars of three errors from the readings."""
+    plot, layout = _empty_plot(), calibration.layout
+    alpha, error = calibration.column("alpha"), calibration.column("reading_error")
+    source.data["low"], source.data["high"] = alpha - 3 * error, alpha + 3 * error
+    plot.segment(x0="number", x1="number", y0="low", y1="high", source=source, line_color=INK,
+                 nonselection_line_alpha=0.2)  # fmt: skip
+    _actuator_points(plot, source, layout, "alpha", layers)
+    plot.yaxis.axis_label = "alpha (true N / commanded N)"
+    return plot
+
+
+def change_by_ring(source: ColumnDataSource, change: Change, layers: tuple[Layer, ...]) -> Plot:
+    """Return the change per actuator in sigmas, and how far chance alone reaches."""
+    plot = _empty_plot()
+    for level in (-change.limit, 0.0, change.limit):
+        plot.add_layout(Span(location=level, dimension="width", line_color=FAINT,
+                             line_dash="solid" if level == 0.0 else "dashed"))  # fmt: skip
+    _actuator_points(plot, source, change.one.layout, "sigmas", layers)
+    plot.yaxis.axis_label = "change (sigma)"
+    return plot
+
+
+def _actuator_points(
+    plot: Plot, source: ColumnDataSource, layout: Layout, key: str, layers: tuple[Layer, ...]
+) -> None:
+    """Draw a value per actuator, ring by ring."""
+    dots = plot.scatter(
+        x="number", y=key, source=source, size=7 if layout.n <= NAMED else 4, color=ACCENT,
+        selection_color=ALARM, selection_line_color=INK, nonselection_alpha=0.25,
+    )  # fmt: skip
+    for edge in ring_edges(layout).tolist():
+        plot.add_layout(Span(location=edge, dimension="height", line_color=FAINT,
+                             line_dash="dotted", line_width=1))  # fmt: skip
+    plot.xaxis.axis_label = ring_label(layout)
+    if names := names_by_ring(layout):
+        plot.xaxis.ticker = BasicTicker(min_interval=1)
+        plot.xaxis.major_label_overrides = {0: "", **names}
+    if rings := ring_names(layout):
+        looks: dict[str, Any] = {"ticker": FixedTicker(ticks=list(rings)),
+                                 "major_label_overrides": rings}  # fmt: skip
+        above = LinearAxis(axis_line_color=None, major_tick_line_color=None,
+                           major_label_text_font=FONT, major_label_text_color=INK,
+                           **looks)  # fmt: skip
+        plot.add_layout(above, "above")
+    plot.x_range.range_padding = 0.04  # the first and the last dot shall not be cut
+    plot.y_range.range_padding = 0.15
+    _add_actuator_tools(plot, dots, layout, layers)
+
+
+def _empty_plot(**size: Any) -> Plot:
+    """Return an empty figure in the page's looks, as wide as the page where no size is given."""
+    size = size or {"sizing_mode": "stretch_width", "height": 300}
+    tools = [PanTool(), BoxZoomTool(), WheelZoomTool(), ResetTool(), SaveTool()]
+    plot = figure(tools=tools, toolbar_location="above", min_border=4, **size)
+    plot.toolbar.logo = None
+    plot.toolbar.active_drag = None  # so that a finger scrolls the page
+    plot.toolbar.active_scroll = None
+    plot.outline_line_color = None
+    plot.axis.axis_label_text_font_style = "normal"
+    plot.axis.axis_label_text_font = plot.axis.major_label_text_font = FONT
+    plot.axis.axis_label_text_color = plot.axis.major_label_text_color = INK
+    plot.grid.grid_line_color = "#e4e4e4"
+    return plot
+
+
+def _add_actuator_tools(plot: Plot, dots: Any, layout: Layout, layers: tuple[Layer, ...]) -> None:
+    """Let the pointer tell of an actuator in full, and select actuators in all views."""
+    group = group_name(layout)
+    tooltips = [("actuator", "@id"), (group, f"@{group}"), ("x, y", "@x{0.0}, @y{0.0} mm")]
+    tooltips += [(layer.name, f"@{layer.key}_text {layer.unit}".rstrip()) for layer in layers]
+    plot.add_tools(
+        HoverTool(renderers=[dots], tooltips=tooltips, visible=False),
+        TapTool(renderers=[dots]),
+        BoxSelectTool(renderers=[dots]),
+        LassoSelectTool(renderers=[dots]),
+    )
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.calibration.file import ACTUATORS, CALIBRATION, calibration_from
-from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.verdict import verdict_on_parts
-from truenewton.calibration.words import as_sentences
+from truenewton.calibration.result import ACTUATORS, CALIBRATIONS, AnyCalibration, Calibration
+from truenewton.calibration.summary import as_sentences
 from truenewton.errors import OutputExists, OutputFailed
-from truenewton.estimation.findings.code import Level
-from truenewton.files.fits import write_fits
 from truenewton.files.format import columns_of, header_of
 from truenewton.files.outputs import file_beside
-from truenewton.records.parts import KINDS, PartKind, has_parts, write_parts
+from truenewton.records.parts import has_parts
+from truenewton.records.result import write
 
 WHOLE = (".fits", ".fits.gz")
 LACKS = {  # of the other forms, and what they leave out
@@ -60,6 +57,7 @@ def lacking(calibration: AnyCalibration, path: str | os.PathLike[str]) -> str:
     )
 
 
+@write.register(Calibration)
 def write_calibration(
     calibration: AnyCalibration, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
@@ -70,11 +68,8 @@ def write_calibration(
     OutputExists, OutputFailed
     """
     suffix = suffix_of(path)
-    if suffix in WHOLE and has_parts(calibration):
-        write_parts(calibration, path, overwrite=overwrite)
-        return
     if suffix in WHOLE:
-        write_fits(path, CALIBRATION, calibration, overwrite=overwrite)
+        write.dispatch(object)(calibration, path, overwrite=overwrite)
         return
     with file_beside(path, overwrite=overwrite) as temporary:
         if suffix == ".npy":
@@ -88,9 +83,8 @@ def _write_table(calibration: AnyCalibration, path: Path, suffix: str) -> None:
     """Write the table with all digits; ECSV holds units, keywords and the verdict's faults, too."""
     from astropy.table import Column, Table
 
-    form, actuators = CALIBRATION, ACTUATORS
-    if has_parts(calibration):
-        form, actuators = CALIBRATIONS.whole, CALIBRATIONS.actuators
+    kind, several = CALIBRATIONS, has_parts(calibration)
+    form, actuators = (kind.whole, kind.actuators) if several else (kind.form, ACTUATORS)
     table = Table()
     for name, _, unit, values in columns_of(calibration, actuators):
         if name not in ("NZ", "ENABLED"):
@@ -101,27 +95,3 @@ def _write_table(calibration: AnyCalibration, path: Path, suffix: str) -> None:
         faults = calibration.verdict.faults
         table.meta["FAULTS"] = [as_sentences(each) for each in faults]
     table.write(path, format=f"ascii{suffix}")
-
-
-CALIBRATIONS = PartKind(
-    CALIBRATION,
-    calibration_from,
-    "ALPHA",
-    {
-        "VERDICT": str(Level.NONE),
-        "METHOD": "",
-        "SCALE": "",
-        "NSHAPES": 0,
-        "NREJECT": 0,
-        "BIAS": np.nan,
-        "E_BIAS": np.nan,
-        "NOISE": np.nan,
-        "FITCHI2": np.nan,
-        "DOF": 0,
-    },
-    verdict=verdict_on_parts,
-    html=Calibration._repr_html_,
-    plot_map=Calibration.plot_map,
-    write=write_calibration,
-)
-KINDS[Calibration] = CALIBRATIONS

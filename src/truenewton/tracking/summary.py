@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.words import row
+from truenewton.calibration.summary import row
 from truenewton.records.parts import Parts, has_parts
+from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import by_chance, counted, numbered, with_error
-from truenewton.tracking.law import Tracking
-from truenewton.tracking.validity import Validity, validity_of
+from truenewton.tracking.law import Tracking, Validity, validity_of
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
@@ -51,6 +51,13 @@ def headline(tracking: Tracking) -> str:
         f"{t.instrument}: {len(t.days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d},"
         f" alpha at {_degrees(t.temperature)} on {t.date:%Y-%m-%d}"
     )
+
+
+@summary_of.register(Tracking)
+def _summary(tracking: Tracking | Parts[Tracking]) -> Summary | None:
+    if has_parts(tracking):
+        return None
+    return Summary(headline(tracking), summary_rows(tracking), remarks(tracking))
 
 
 def summary_rows(tracking: Tracking) -> Iterator[tuple[str, str]]:
@@ -141,12 +148,12 @@ def _lines_of_parts(t: Parts[Tracking], accuracy: float | None) -> Iterator[str]
     yield (
         f"{t.instrument}: {len(days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d}, of"
         f" {counted(t.numbers, 'segment')}"
-        + (f", {len(t.refused)} without a law" if t.refused else "")
+        + (f", {len(t.failed)} without a law" if t.failed else "")
     )
     for day in days:
         yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {day.name}"
     for number in t.numbers:
-        if number in t.refused:
+        if number in t.failed:
             yield row(f"segment {number}", "no law")
             continue
         law = t.found[number]
@@ -154,7 +161,7 @@ def _lines_of_parts(t: Parts[Tracking], accuracy: float | None) -> Iterator[str]
         for name, value in summary_rows(law):
             yield f"  {row(name, value)}"
     said: dict[str, set[int]] = {}
-    for number, fault, remedy in t.refusals:
+    for number, fault, remedy in t.failures:
         said.setdefault(f"{fault}; {remedy}", set()).add(number)
     for number, law in t.found.items():
         for line in (*remarks(law), *_validity_lines(law, accuracy)):
@@ -172,7 +179,7 @@ def values(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> dict
             "segments": [
                 {"segment": number, **values(t.found[number], accuracy)}
                 if number in t.found
-                else {"segment": number, "faults": [f._asdict() for f in t.refused[number]]}
+                else {"segment": number, "faults": [f._asdict() for f in t.failed[number]]}
                 for number in t.numbers
             ],
         }

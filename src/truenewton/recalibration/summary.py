@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from truenewton.calibration.result import AnyCalibration
-from truenewton.calibration.words import summary_lines, summary_values
+from truenewton.calibration.summary import summary_lines, summary_values
 from truenewton.recalibration.fit import Recalibration
 from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.rounding import by_chance, percent, with_error

@@ -11,16 +11,16 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.scale_faults import NO_ERROR, scale_limit
-from truenewton.calibration.verdict import Verdict, no_alpha, rejected_sentence
+from truenewton.calibration.verdict import NO_ERROR, rejected_sentence, scale_limit
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import NoiseSource, RejectedRow, Scale
-from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.findings.scale_budget import scale_budget, typical
+from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
+from truenewton.estimation.findings.scale_budget import scale_budget, scale_total, typical
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
+from truenewton.records.result import Summary, summary_of
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, percent, significant, to_digits, with_error
@@ -169,7 +169,7 @@ def _values_of_parts(c: Parts[Calibration]) -> dict[str, Any]:
         "segments": [
             {"segment": number, **summary_values(c.found[number])}
             if number in c.found
-            else {"segment": number, "verdict": no_alpha(c.refused[number]).values}
+            else {"segment": number, "verdict": no_alpha(c.failed[number]).values}
             for number in c.numbers
         ],
     }
@@ -198,7 +198,7 @@ def headline(calibration: AnyCalibration) -> str:
             f"{c.instrument}, {_first_date(c):%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
             + (f" ({(~on).sum()} disabled)" if not on.all() else "")
             + f" of {counted(c.numbers, 'segment')}"
-            + (f", {len(c.refused)} without alpha" if c.refused else "")
+            + (f", {len(c.failed)} without alpha" if c.failed else "")
         )
     return (
         f"{c.instrument}, {c.date:%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
@@ -211,6 +211,13 @@ def headline(calibration: AnyCalibration) -> str:
         + (f", {counted(c.invalid, 'row')} not valid left out" if c.invalid else "")
         + (", by reciprocity" if c.sensors else "")
     )
+
+
+@summary_of.register(Calibration)
+def _summary(calibration: AnyCalibration) -> Summary:
+    verdict = calibration.verdict
+    rows = [*summary_rows(calibration), ("verdict", str(verdict.level), "")]
+    return Summary(headline(calibration), rows, warning_lines(verdict.faults))
 
 
 def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
@@ -272,8 +279,8 @@ def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
 def _rows_of_parts(c: Parts[Calibration]) -> Iterator[tuple[str, str, str]]:
     """Yield name, range of alpha and what is known of each segment."""
     for number in c.numbers:
-        if number in c.refused:
-            yield f"segment {number}", str(Level.NONE), c.refused[number][0].fault
+        if number in c.failed:
+            yield f"segment {number}", str(Level.NONE), c.failed[number][0].fault
             continue
         one = c.found[number]
         low, high = int(np.nanargmin(one.alpha)), int(np.nanargmax(one.alpha))
@@ -340,3 +347,19 @@ def rejected_values(
         }
         for row in sorted(rejected, key=lambda row: -row.sigmas)
     ]
+
+
+def error_budget(c: Calibration) -> dict[str, float]:
+    """Return relative standard uncertainties of alpha by name; none where the scale is free."""
+    if c.scale == Scale.MEAN_ONE:
+        return {}
+    parts = {
+        "typical actuator, all": typical(c.error, c.alpha),
+        "typical actuator, readings": typical(c.reading_error, c.alpha),
+        "typical actuator, weights": typical(c.systematic_error, c.alpha),
+    }
+    if c.scale_errors:
+        parts["common scale, all"] = scale_total(c.scale_errors)
+        for what, part in scale_budget(c.scale_errors).items():
+            parts[f"common scale, {what}"] = part
+    return parts
