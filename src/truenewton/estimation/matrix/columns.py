@@ -291,7 +291,7 @@ def _alternate(
         if (
             known
             and _same(noise, before)
-            and abs(np.log(spread / before_spread)) < SETTLED_NOISE_CHANGE * (2.0)
+            and (np.isinf(spread) or abs(np.log(spread / before_spread)) < 0.06)
         ):
             break
     return _Point(alpha, b, noise, spread, weight, cost)
