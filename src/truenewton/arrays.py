@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import datetime
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -16,13 +18,23 @@ Array = NDArray[np.float64]
 
 
 def jsonable(value: Any) -> Any:
-    """Return what JSON can hold of numbers, arrays, lists and mappings: it knows no NaN."""
+    """Return what JSON can hold, which knows no NaN; of a record the fields that its repr shows.
+
+    A record may say otherwise by a property ``as_values``.
+    """
+    if hasattr(value, "as_values"):
+        return jsonable(value.as_values)
+    if dataclasses.is_dataclass(value):
+        shown = (each.name for each in dataclasses.fields(value) if each.repr)
+        return {name: jsonable(getattr(value, name)) for name in shown}
     if isinstance(value, Mapping):
         return {key: jsonable(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
         return jsonable(value.tolist())
     if isinstance(value, list | tuple):
         return [jsonable(item) for item in value]
+    if isinstance(value, datetime.datetime):
+        return value.isoformat()
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -17,7 +17,7 @@ def test_of_rows_that_do_not_fit_it_is_said_what_the_files_contain_and_why_there
     random = np.random.default_rng(1)
     wild = with_forces(p45(), lambda _, f: random.permutation(f))
     values, lines = survey(Campaign(tuple(wild)))
-    assert values["verdict"]["level"] == "no alpha"
+    assert str(values["verdict"].level) == "no alpha"
     assert values["loads"][1]["load"] == "ring"
     assert values["faults"][0]["remedy"]
     assert any(line.startswith("  not enough for alpha: ") for line in lines)

@@ -18,6 +18,7 @@ from truenewton.estimation.matrix import modes as matrix_modes
 from truenewton.estimation.matrix.coherent_imbalance import doubts_of_balance
 from truenewton.estimation.matrix.facts import MatrixFacts, doubts_of, symmetry_of
 from truenewton.estimation.matrix.screen import ScreenedMatrix
+from truenewton.files.format import attributes
 from truenewton.records.campaign import Campaign
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -97,23 +98,16 @@ def common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
     n, goodness = int(on.sum()), estimate.goodness
     reading, systematic = estimate.reading_covariance, estimate.systematic_covariance
     return {
-        "method": estimate.method,
+        **attributes(estimate, "method", "condition", "solved_condition", "rank", "noise"),
+        **attributes(estimate, "diagnosis", "goodness", "scale_errors", "sensors"),
         "scale": estimate.scale.value,
         "alpha": spread(estimate.values[:n], on),
         "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
         "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
         "covariance": spread_covariance(reading + systematic, on),
         "systematic_covariance": spread_covariance(systematic, on),
-        "condition": estimate.condition,
-        "solved_condition": estimate.solved_condition,
-        "rank": estimate.rank,
-        "noise": estimate.noise,
         "degrees_of_freedom": goodness.degrees_of_freedom if goodness else None,
         "chi2": estimate.declared_chi2,
-        "diagnosis": estimate.diagnosis,
-        "goodness": goodness,
-        "scale_errors": estimate.scale_errors,
-        "sensors": estimate.sensors,
     }
 
 

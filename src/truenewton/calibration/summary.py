@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.result import ACTUATORS, CALIBRATIONS, AnyCalibration, Calibration
 from truenewton.calibration.verdict import NO_ERROR, rejected_sentence, scale_limit
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.findings.estimate import NoiseSource, RejectedRow, Scale
+from truenewton.estimation.findings.estimate import Diagnosis, NoiseSource, RejectedRow, Scale
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
 from truenewton.estimation.findings.scale_budget import scale_budget, scale_total, typical
 from truenewton.estimation.matrix.modes import Imbalance
+from truenewton.files.format import attributes, columns_by_name
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import Summary, summary_of
@@ -113,63 +113,38 @@ def summary_values(calibration: AnyCalibration) -> dict[str, Any]:
     c = calibration
     if has_parts(c):
         return _values_of_parts(c)
+    errors = c.torque_errors
+    torques = c.loads, c.torque_y, errors[:, 0], c.torque_x, errors[:, 1]
+    names = "load", "torque_y", "e_torque_y", "torque_x", "e_torque_x"
+    diagnosis = c.diagnosis or Diagnosis()
     return {
-        "instrument": c.instrument,
-        "date": c.date.isoformat(),
-        "verdict": c.verdict.values,
-        "method": c.method,
-        "scale": c.scale,
-        "shapes": c.shapes_used,
-        "invalid": c.invalid,
-        "rejected": c.rejected,
-        "noise": c.noise,
-        "condition": c.condition,
-        "solved_condition": c.solved_condition,
-        "rank": c.rank,
-        "separation": c.diagnosis.separation if c.diagnosis else None,
-        "warnings": [each.fault for each in c.diagnosis.warnings] if c.diagnosis else [],
-        "bias_force": c.bias_force,
-        "e_bias_force": c.bias_force_error,
+        **attributes(c, "instrument", "date", "verdict", "method", "scale", shapes="shapes_used"),
+        **attributes(c, "invalid", "rejected", "noise", "condition", "solved_condition", "rank"),
+        "separation": diagnosis.separation,
+        "warnings": [each.fault for each in diagnosis.warnings],
+        **attributes(c, "bias_force", e_bias_force="bias_force_error"),
         "loads": [
-            {"load": load.name, "torque_y": my, "e_torque_y": ey, "torque_x": mx, "e_torque_x": ex}
-            for load, my, mx, (ey, ex) in zip(
-                c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
-            )
+            dict(zip(names, (load.name, *of_it), strict=True))
+            for load, *of_it in zip(*torques, strict=True)
         ],
         "actuators": {"id": c.layout.id, **_actuator_values(c)},
-        "chi2": c.chi2,
-        "degrees_of_freedom": c.degrees_of_freedom,
-        "goodness": asdict(c.goodness) if c.goodness else None,
-        "scale_errors": [
-            {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
-        ],
-        "effects": [effect.as_values for effect in c.effects],
-        "unseen": [asdict(error) for error in c.unseen],
-        "sensors": [asdict(sensor) for sensor in c.sensors],
-        "weakest": c.diagnosis.weakest if c.diagnosis else "",
-        "imbalance": [
-            {"modes": line.modes, "before": line.before, "after": line.after}
-            for line in c.imbalances
-        ],
-        "matrix": asdict(c.matrix_facts) if c.matrix_facts else None,
-        "halves": c.halves,
+        **attributes(c, "chi2", "degrees_of_freedom", "goodness", "scale_errors", "effects"),
+        **attributes(c, "unseen", "sensors"),
+        "weakest": diagnosis.weakest,
+        **attributes(c, imbalance="imbalances", matrix="matrix_facts", halves="halves"),
     }
 
 
 def _values_of_parts(c: Parts[Calibration]) -> dict[str, Any]:
     return {
-        "instrument": c.instrument,
-        "date": _first_date(c).isoformat(),
-        "verdict": c.verdict.values,
-        "actuators": {
-            "id": c.layout.id,
-            "segment": c.layout.segment,
-            **_actuator_values(c),
-        },
+        **attributes(c, "instrument"),
+        "date": _first_date(c),
+        "verdict": c.verdict,
+        "actuators": {**attributes(c.layout, "id", "segment"), **_actuator_values(c)},
         "segments": [
             {"segment": number, **summary_values(c.found[number])}
             if number in c.found
-            else {"segment": number, "verdict": no_alpha(c.failed[number]).values}
+            else {"segment": number, "verdict": no_alpha(c.failed[number])}
             for number in c.numbers
         ],
     }
@@ -177,13 +152,8 @@ def _values_of_parts(c: Parts[Calibration]) -> dict[str, Any]:
 
 def _actuator_values(c: AnyCalibration) -> dict[str, Array]:
     """Return (n,) alpha and its errors by their names."""
-    return {
-        "alpha": c.column("alpha"),
-        "e_alpha": c.column("error"),
-        "e_stat": c.column("reading_error"),
-        "e_syst": c.column("systematic_error"),
-        "e_cycle": c.column("cycle_error"),
-    }
+    table = CALIBRATIONS.actuators if has_parts(c) else ACTUATORS
+    return columns_by_name(c, table, "alpha", "e_alpha", "e_stat", "e_syst", "e_cycle")
 
 
 def _first_date(c: Parts[Calibration]) -> datetime.datetime:

@@ -39,6 +39,7 @@ from truenewton.estimation.findings.finding import Verdict, no_alpha
 from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign
+from truenewton.files.format import attributes
 from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts
@@ -91,10 +92,8 @@ def survey(
         "disabled": disabled,
         **facts,
         "separation": diagnosis.separation,
-        "faults": [{"fault": each.fault, "remedy": each.remedy} for each in verdict.faults]
-        if refused
-        else [],
-        "verdict": verdict.values,
+        "faults": [attributes(each, "fault", "remedy") for each in verdict.faults if refused],
+        "verdict": verdict,
     }
     off = f" ({disabled} disabled)" if disabled else ""
     headline = f"a {what} of {data.instrument}: {counted(data.layout.n, 'actuator')}{off}{contents}"
@@ -127,12 +126,12 @@ def _survey_segments(
             values, told = survey(body, method, population=population, motion=of_it)
         except (FormatError, GeometryError) as error:
             verdict = no_alpha([Fault(error.fault, error.remedy)])
-            values = {"verdict": verdict.values}
+            values = {"verdict": verdict}
             told = [f"segment {number}", f"  not enough for alpha: {error.fault}; {error.remedy}"]
-        levels.append(values["verdict"]["level"])
+        levels.append(values["verdict"].level)
         parts.append({"segment": number, **values})
         lines += told
-    good = sum(Level.read(level) >= Level.DOUBTFUL for level in levels)
+    good = sum(level >= Level.DOUBTFUL for level in levels)
     lines[0] += f" of {counted(data.layout.n, 'actuator')}, {good} with enough for alpha"
     return {
         "holds": "segments",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from truenewton.calibration.summary import row, warning_lines
+from truenewton.files.format import attributes
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
@@ -244,27 +244,23 @@ def values(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> di
         return {"segments": [{"segment": k} | of_each[k] for k in findings.numbers]}
     base, measured = findings.after, findings.measured
     figures: dict[str, Any] = {
-        "instrument": base.matrix.instrument,
-        "date": base.matrix.date.isoformat(),
-        **_attributes(findings.calibration, "method", "scale"),
-        "verdict": findings.calibration.verdict.values,
-        **_attributes(base.seen.atmosphere, "seeing", "fried_parameter", "outer_scale"),
-        **_attributes(base.seen.pupil, "diameter", "radius"),
+        **attributes(base.matrix, "instrument", "date"),
+        **attributes(findings.calibration, "method", "scale", "verdict"),
+        **attributes(base.seen.atmosphere, "seeing", "fried_parameter", "outer_scale"),
+        **attributes(base.seen.pupil, "diameter", "radius"),
         "efficiency": base.costs[0].efficiency,
         "fitting_error": base.seen.fitting_error,
         "static_force": base.costs[0].static,
         "stiffness": base.modes.stiffness,
-        "asymmetry": findings.asymmetry,
-        "imbalance": findings.imbalance,
+        **attributes(findings, "asymmetry", "imbalance"),
         "rigid_stiffness": base.modes.stiffness[:3],
-        "sensor_gain": base.stiffness.enabled_gain,
-        "sensor_offset": base.stiffness.enabled_offset,
-        "uncalibrated_modes": _attributes(
+        **attributes(base.stiffness, sensor_gain="enabled_gain", sensor_offset="enabled_offset"),
+        "uncalibrated_modes": attributes(
             findings.comparison, "distance", "overlap", "orders", "largest_angle"
         )
         if findings.compares
         else None,
-        "limits": asdict(limits),
+        "limits": limits,
         "warnings": [[each.fault, each.remedy] for each in findings.warnings],
         "bases": [
             {
@@ -278,12 +274,7 @@ def values(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> di
         ],
     }
     if measured is not None:
-        figures["measured"] = _attributes(
+        figures["measured"] = attributes(
             measured, "shapes", "rows", "residual", "misfit", "relative_error", "rigid_assumed"
         ) | {"rejected": len(measured.rejected)}
     return figures
-
-
-def _attributes(record: object, *names: str) -> dict[str, Any]:
-    """Return some attributes of a record by their names."""
-    return {name: getattr(record, name) for name in names}

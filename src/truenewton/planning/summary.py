@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -18,7 +17,9 @@ from truenewton.acquisition.load_order import (
 from truenewton.acquisition.taker import POSITION_SIGMAS, POSITION_TOLERANCE
 from truenewton.calibration.summary import warning_lines
 from truenewton.estimation.findings.scale_budget import scale_budget
+from truenewton.files.format import attributes
 from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction
+from truenewton.planning.prediction import Prediction
 from truenewton.rounding import counted, percent
 
 
@@ -212,53 +213,54 @@ def values(
     outcome: PlanPrediction, target: float | None, changes: Sequence[Change]
 ) -> dict[str, Any]:
     """Return the values for a script; infinite if the scale is free."""
-    ready, prediction = outcome.ready, outcome.prediction
-    typical_error, from_readings, from_weights = prediction.typical_errors
+    ready, prediction, strain = outcome.ready, outcome.prediction, outcome.strain
+    order = mountings(ready.plan, len(ready.shapes))
     return {
         "instrument": ready.mirror.name,
         "shapes": len(ready.shapes),
-        "cycles": ready.plan.cycles,
-        "loads": [dataclasses.asdict(load) for load in ready.plan.loads],
-        "typical_error": typical_error,
-        "typical_e_stat": from_readings,
-        "typical_e_syst": from_weights,
-        "scale_errors": [
-            {"source": str(line.source), "relative": line.relative}
-            for line in prediction.scale_errors
-        ],
+        **attributes(ready.plan, "cycles", "loads"),
+        **_typical_values(prediction),
+        **attributes(prediction, "scale_errors"),
         "actuators": {
             "id": prediction.layout.id[prediction.layout.enabled],
-            "alpha": prediction.alpha,
-            "e_alpha": prediction.error,
-            "e_stat": prediction.reading_error,
+            **attributes(prediction, "alpha", e_alpha="error", e_stat="reading_error"),
             "e_syst": prediction.systematic_error,
         },
         "reciprocity": _reciprocity_values(outcome),
-        "weakest": prediction.diagnosis.weakest,
-        "undetermined": prediction.diagnosis.undetermined,
+        **attributes(prediction.diagnosis, "weakest", "undetermined"),
         "duration": outcome.duration,
         "turns": ready.plan.turns,
         "mountings": [
-            {"load": each.load.name, "cycles": [each.cycles[0], each.cycles[-1]],
-             "start": each.start, "end": each.end}
-            for each in mountings(ready.plan, len(ready.shapes))
+            attributes(each, load="load.name", cycles=lambda one: (one.cycles[0], one.cycles[-1]))
+            | attributes(each, "start", "end")
+            for each in order
         ],
-        "orders": [
-            {**dataclasses.asdict(cost), "error": cost.error} for cost in outcome.orders
-        ],
-        "third_load": outcome.third_load and dataclasses.asdict(outcome.third_load),
-        **{f"largest_{key}" if key in ("force", "stroke") else key: value
-           for key, value in dataclasses.asdict(outcome.strain).items()},
+        "orders": [{**vars(cost), "error": cost.error} for cost in outcome.orders],
+        "third_load": outcome.third_load,
+        **attributes(strain, largest_force="force"),
+        **attributes(strain, "actuator", "load", "force_at_worst", largest_stroke="stroke"),
+        "gap": strain.gap,
         "curves": {
-            name: {name: curve.values, "error": curve.error, "e_stat": curve.reading_error,
-                   "e_syst": curve.systematic_error}
-            for name, curve in (("cycles", outcome.against_cycles),
-                                ("added_factor", outcome.against_weight))
+            name: _curve_values(name, curve) | {"e_syst": curve.systematic_error}
+            for name, curve in (
+                ("cycles", outcome.against_cycles),
+                ("added_factor", outcome.against_weight),
+            )
         },
         "warnings": [each.fault for each in outcome.warnings],
         "target": target,
         "ways": [{k: v for k, v in vars(change).items() if k != "plan"} for change in changes],
-    }  # fmt: skip
+    }
+
+
+def _typical_values(prediction: Prediction) -> dict[str, float]:
+    """Return the typical errors: all, from the readings, from the weights."""
+    names = "typical_error", "typical_e_stat", "typical_e_syst"
+    return dict(zip(names, prediction.typical_errors, strict=True))
+
+
+def _curve_values(name: str, curve: Curve) -> dict[str, Any]:
+    return {name: curve.values, **attributes(curve, "error", e_stat="reading_error")}
 
 
 def _reciprocity_values(outcome: PlanPrediction) -> dict[str, Any]:
@@ -266,20 +268,11 @@ def _reciprocity_values(outcome: PlanPrediction) -> dict[str, Any]:
     found = outcome.reciprocity
     if found.planned is None:
         return {"why_not": found.why_not}
-    typical_error, from_readings, from_weights = found.planned.typical_errors
     return {
-        "typical_error": typical_error,
-        "typical_e_stat": from_readings,
-        "typical_e_syst": from_weights,
+        **_typical_values(found.planned),
         "actuators": {
-            "e_alpha": found.planned.error,
-            "e_stat": found.planned.reading_error,
-            "e_gain": found.gain_error,
-            "e_offset": found.offset_error,
+            **attributes(found.planned, e_alpha="error", e_stat="reading_error"),
+            **attributes(found, e_gain="gain_error", e_offset="offset_error"),
         },
-        "cycles": {
-            "cycles": found.against_cycles.values,
-            "error": found.against_cycles.error,
-            "e_stat": found.against_cycles.reading_error,
-        },
+        "cycles": _curve_values("cycles", found.against_cycles),
     }

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import Any
 
 from truenewton.calibration.result import AnyCalibration
 from truenewton.calibration.summary import summary_lines, summary_values
+from truenewton.files.format import attributes
 from truenewton.recalibration.fit import Recalibration
 from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.rounding import by_chance, percent, with_error
@@ -71,15 +71,9 @@ def values(
 
 
 def _found(made: Recalibration) -> dict[str, Any]:
+    others = attributes(made, "chi2", "degrees_of_freedom", "probability", "scatter")
     return {
-        "asked": list(made.asked),
-        "moved": [asdict(one) for one in made.moved],
-        "earlier": made.earlier,
-        "others": {
-            "chi2": made.chi2,
-            "degrees_of_freedom": made.degrees_of_freedom,
-            "probability": made.probability,
-            "scatter": made.scatter,
-        },
-        "limits": list(made.limits),
+        **attributes(made, "asked", "moved", "earlier"),
+        "others": others,
+        "limits": made.limits,
     }

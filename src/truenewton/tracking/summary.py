@@ -6,16 +6,16 @@ import datetime
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from truenewton.calibration.summary import row
+from truenewton.files.format import attributes, columns_by_name
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import by_chance, counted, numbered, with_error
-from truenewton.tracking.law import Tracking, Validity, validity_of
+from truenewton.tracking.law import ACTUATORS, DAYS, Tracking, Validity, validity_of
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
@@ -183,36 +183,22 @@ def values(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> dict
                 for number in t.numbers
             ],
         }
-    errors = t.errors
-    figures: dict[str, Any] = {
-        "instrument": t.instrument,
-        "temperature": t.temperature,
-        "date": t.date.isoformat(),
-        "effects": list(t.effects),
-        "families": [asdict(family) for family in t.families],
+    names = "file", "date", "temperature", "verdict"
+    days = zip(*columns_by_name(t, DAYS, *names).values(), strict=True)
+    figures = {
+        **attributes(t, "instrument", "temperature", "date", "effects", "families"),
         "scatter": {
-            "own": t.scatter, "common": t.common_scatter, "degrees_of_freedom": t.scatter_degrees,
+            **attributes(t, own="scatter", common="common_scatter"),
+            "degrees_of_freedom": t.scatter_degrees,
         },
-        "outliers": [asdict(one) for one in t.outliers],
-        "chi2": t.chi2,
-        "degrees_of_freedom": t.degrees_of_freedom,
-        "probability": t.probability,
-        "limits": list(t.limits),
-        "days": [
-            {"file": day.name, "date": day.date.isoformat(), "temperature": day.temperature,
-             "verdict": day.verdict}
-            for day in t.days
-        ],
-        "actuators": {
-            "id": t.layout.id, "alpha": t.alpha, "e_alpha": errors[0],
-            "k": t.coefficient, "e_k": errors[1], "drift": t.drift, "e_drift": errors[2],
-        },
-    }  # fmt: skip
+        **attributes(t, "outliers", "chi2", "degrees_of_freedom", "probability", "limits"),
+        "days": [dict(zip(names, day, strict=True)) for day in days],
+        "actuators": columns_by_name(
+            t, ACTUATORS, "id", "alpha", "e_alpha", "k", "e_k", "drift", "e_drift"
+        ),
+    }
     if accuracy is not None:
-        figures["validity"] = {
-            key: value.isoformat() if isinstance(value, datetime.datetime) else value
-            for key, value in asdict(validity_of(t, accuracy)).items()
-        }
+        figures["validity"] = validity_of(t, accuracy)
     return figures
 
 

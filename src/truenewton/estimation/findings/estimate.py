@@ -114,6 +114,11 @@ class ErrorSource:
     def __str__(self) -> str:
         return self.kind.value.format(self.name)
 
+    @property
+    def as_values(self) -> str:
+        """The same for a script."""
+        return str(self)
+
 
 @dataclass(frozen=True)
 class ScaleError:

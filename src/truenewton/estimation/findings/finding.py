@@ -278,12 +278,9 @@ class Verdict:
         return tuple(each for each in self.findings if each.level is Level.SOUND)
 
     @property
-    def values(self) -> dict[str, Any]:
+    def as_values(self) -> dict[str, Any]:
         """The same for a script."""
-        return {
-            "level": str(self.level),
-            "findings": [each.as_values for each in self.findings],
-        }
+        return {"level": str(self.level), "findings": self.findings}
 
 
 def judged(findings: Collection[Finding]) -> Verdict:
