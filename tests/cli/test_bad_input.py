@@ -313,7 +313,7 @@ DISAGREEMENTS = {
     "LOAD": (keyword("LOAD", "bare"), "on ADDED (-0.5 .. correct it, or LOAD: both say 'bare'"),
     "FORCE in mN": (
         lambda hdus: hdus[M].data["FORCE"].__imul__(1e3),
-        "FORCE in another unit .. check the unit of FORCE in that file",
+        "FORCE in another unit .. correct the unit of FORCE in that file",
     ),
 }
 

@@ -17,8 +17,7 @@ from scipy.linalg.lapack import dpotrf
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.checks.campaign import campaign_warnings, noise_warnings
-from truenewton.estimation.checks.dead_actuators import strange_alphas
-from truenewton.estimation.checks.inputs import check_inputs, refusal_naming
+from truenewton.estimation.checks.inputs import check_inputs, refusal_naming, strange_alphas
 from truenewton.estimation.effects.examination import (
     ExaminedFit,
     chi2_probability,

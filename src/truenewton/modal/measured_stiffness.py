@@ -350,7 +350,7 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
         Elastic motions that no shape contains, or a sensor with frozen readings in all files.
     """
     cycles = reader.positioned
-    frozen = frozen_sensors(Campaign(cycles))
+    frozen = tuple(frozen_sensors(Campaign(cycles)))
     for effect in frozen:
         if effect.size == 1.0:  # the share of the files
             raise RankDeficient(f"{effect.name}: {effect.where}", remedy=effect.remedy)

@@ -9,7 +9,7 @@ import truenewton as tn
 from helpers.changed import p45, with_forces
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.checks.column_order import likeliest_order
-from truenewton.estimation.screening.file_labels import clusters
+from truenewton.estimation.screening.hypotheses import clusters
 from truenewton.records.campaign import Campaign
 
 NOISE = (1e-3, 5e-5)

@@ -54,6 +54,11 @@ _CHECK_WEIGHT = (
     " much, and alpha too where a load is tilted"
 )
 
+_DISABLE = "set ENABLED to F if it exerts no force"
+_IN_ORDER = "put the columns of {detail} in that file in the order of ACTUATORS, or leave it out"
+ORDER_OF_BOTH = "put the columns of FORCE and POSITION in the order of the ACTUATORS table"
+_LABELS = "correct SHAPE and SIGN of the file, or leave it out"
+
 ENTRIES: dict[Code, Entry] = {
     Code.GAIN_BY_HOUR: Entry("gain by hour"),
     Code.GAIN_BY_HOUR_OF_EACH: Entry("gain by hour of each"),
@@ -78,41 +83,115 @@ ENTRIES: dict[Code, Entry] = {
     Code.UNKNOWN_FORCE: Entry("unknown force"),
     Code.CORRELATED_NOISE: Entry("correlated noise"),
     Code.TEMPERATURE_BETWEEN_LOADS: Entry("temperature between the loads", level=Level.USABLE),
-    Code.DEAD_NO_FORCE: Entry("dead actuator, no force is commanded", Concern.SILENT, Level.USABLE),
-    Code.DEAD_ALPHA_ZERO: Entry("dead actuator, alpha is 0", Concern.SILENT, Level.USABLE),
-    Code.STUCK_READING: Entry("stuck reading", Concern.SILENT, Level.USABLE),
-    Code.NEGATIVE_ALPHA: Entry("alpha is negative, the poles are exchanged", level=Level.USABLE),
-    Code.FROZEN_SENSOR: Entry("frozen sensor", level=Level.USABLE),
+    Code.DEAD_NO_FORCE: Entry(
+        "dead actuator, no force is commanded",
+        Concern.SILENT,
+        Level.USABLE,
+        remedy="look at its coil, driver and cable; " + _DISABLE,
+    ),
+    Code.DEAD_ALPHA_ZERO: Entry(
+        "dead actuator, alpha is 0",
+        Concern.SILENT,
+        Level.USABLE,
+        remedy="look at its coil and magnet",
+    ),
+    Code.STUCK_READING: Entry(
+        "stuck reading",
+        Concern.SILENT,
+        Level.USABLE,
+        remedy="have its electronics looked at; " + _DISABLE,
+    ),
+    Code.NEGATIVE_ALPHA: Entry(
+        "alpha is negative, the poles are exchanged",
+        level=Level.USABLE,
+        remedy="exchange the poles of its cable, or the sign of its column of FORCE",
+    ),
+    Code.FROZEN_SENSOR: Entry(
+        "frozen sensor",
+        level=Level.USABLE,
+        remedy="have its electronics looked at, and leave the files out where POSITION is needed",
+    ),
     Code.ACTUATOR_OFF: Entry("actuator is off", cured="left out"),
     Code.ACTUATOR_MISFIT: Entry("actuator does not fit", cured="left out"),
-    Code.COPIED_FILE: Entry("copy of another file", Concern.FILES, Level.REJECTED),
-    Code.OTHER_UNIT: Entry("{} in another unit", Concern.FILES, Level.REJECTED),
-    Code.OTHER_SIGN: Entry("{} of the other sign", Concern.FILES, Level.REJECTED),
-    Code.OTHER_LOAD: Entry("wrong LOAD of a file", Concern.FILES, Level.REJECTED),
+    Code.COPIED_FILE: Entry(
+        "copy of another file",
+        Concern.FILES,
+        Level.REJECTED,
+        remedy="restore the original of the copy, or remove it",
+    ),
+    Code.OTHER_UNIT: Entry(
+        "{} in another unit",
+        Concern.FILES,
+        Level.REJECTED,
+        remedy="correct the unit of {detail} in that file",
+    ),
+    Code.OTHER_SIGN: Entry(
+        "{} of the other sign",
+        Concern.FILES,
+        Level.REJECTED,
+        remedy="turn the sign of {detail} in that file, or leave it out; look at the plug, and at"
+        " the order of SHAPE and SIGN",
+    ),
+    Code.OTHER_LOAD: Entry(
+        "wrong LOAD of a file",
+        Concern.FILES,
+        Level.REJECTED,
+        remedy="correct LOAD of the file, or remove the file",
+    ),
     Code.LOAD_OF_TWO_NAMES: Entry("one load under two names", level=Level.USABLE),
-    Code.EXCHANGED_COLUMNS: Entry("exchanged columns of {}", Concern.FILES, Level.REJECTED),
-    Code.OTHER_ORDER: Entry("another order of {}", Concern.FILES, Level.REJECTED),
+    Code.EXCHANGED_COLUMNS: Entry(
+        "exchanged columns of {}", Concern.FILES, Level.REJECTED, remedy=_IN_ORDER
+    ),
+    Code.OTHER_ORDER: Entry("another order of {}", Concern.FILES, Level.REJECTED, remedy=_IN_ORDER),
     Code.ORDER_OF_POSITION: Entry(
-        "order of FORCE is not that of POSITION", Concern.FILES, Level.REJECTED
+        "order of FORCE is not that of POSITION",
+        Concern.FILES,
+        Level.REJECTED,
+        remedy=ORDER_OF_BOTH,
     ),
     Code.MISPLACED_ACTUATOR: Entry(
-        "actuator stands elsewhere than at its X and Y", Concern.FILES, Level.REJECTED
+        "actuator stands elsewhere than at its X and Y",
+        Concern.FILES,
+        Level.REJECTED,
+        remedy="correct X and Y in that row of ACTUATORS, in m",
     ),
     Code.TWO_MIRRORS: Entry(
-        "files of two mirrors, campaigns or lists of shapes", Concern.FILES, Level.REJECTED
+        "files of two mirrors, campaigns or lists of shapes",
+        Concern.FILES,
+        Level.REJECTED,
+        remedy="calibrate together what was taken of one mirror with the same shapes, and"
+        " no actuator replaced in between; or mark rows as not VALID in which the"
+        " load was not on",
     ),
     Code.CONSTANT_POSITION: Entry(
-        "POSITION is the same in all rows", Concern.FILES, Level.REJECTED
+        "POSITION is the same in all rows",
+        Concern.FILES,
+        Level.REJECTED,
+        remedy="leave the column out where no sensors were read; then COILGRAD, BIASGRAD"
+        " are not used",
     ),
     Code.UNUSABLE_CALIBRATION: Entry(
         "earlier calibration that was rejected", Concern.FILES, Level.REJECTED
     ),
-    Code.SIGN_REVERSED: Entry("SIGN reversed", Concern.ROWS),
-    Code.SHAPE_OFFSET: Entry("SHAPE counted from another one", Concern.ROWS),
-    Code.OTHER_LABELS: Entry("SHAPE and SIGN label other rows", Concern.ROWS),
-    Code.FROZEN_READING: Entry("frozen reading", Concern.ROWS),
-    Code.FROZEN_READINGS: Entry("frozen readings", Concern.ROWS),
-    Code.CLIPPED_READINGS: Entry("readings cut off at a limit", Concern.ROWS),
+    Code.SIGN_REVERSED: Entry("SIGN reversed", Concern.ROWS, remedy=_LABELS),
+    Code.SHAPE_OFFSET: Entry("SHAPE counted from another one", Concern.ROWS, remedy=_LABELS),
+    Code.OTHER_LABELS: Entry("SHAPE and SIGN label other rows", Concern.ROWS, remedy=_LABELS),
+    Code.FROZEN_READING: Entry(
+        "frozen reading",
+        Concern.ROWS,
+        remedy="leave the file out, or mark the rows in which it stands still as not"
+        " VALID; have its electronics looked at",
+    ),
+    Code.FROZEN_READINGS: Entry(
+        "frozen readings",
+        Concern.ROWS,
+        remedy="leave the file out, or mark the rows that repeat the one before as not VALID",
+    ),
+    Code.CLIPPED_READINGS: Entry(
+        "readings cut off at a limit",
+        Concern.ROWS,
+        remedy="use smaller shapes, or mark the rows that reach the limit as not VALID",
+    ),
     Code.ASYMMETRIC_STIFFNESS: Entry("asymmetric stiffness", Concern.FILES, Level.REJECTED),
     Code.NEGATIVE_STIFFNESS: Entry("stiffness of the other sign", level=Level.USABLE),
     Code.DISORDERED_STIFFNESS: Entry(

@@ -12,9 +12,11 @@ from truenewton.errors import Fault
 from truenewton.estimation.findings.catalogue import ENTRIES, Entry
 from truenewton.estimation.findings.code import Code, Concern, Level
 from truenewton.rounding import counted, listed, named, numbered, percent
+from truenewton.statics.layout import Layout
 
 OF_EFFECTS = ("name", "detail", "where", "probability", "size", "unit", "corrected")
 MAX_NAMES = 10  # of actuators or files in a sentence
+MAX_NAMED_ACTUATORS = 4  # that are named one by one in the place of a finding
 
 
 class Words(string.Formatter):
@@ -94,7 +96,7 @@ class Finding:
     remedy: str = ""
 
     def __post_init__(self) -> None:
-        if not self.remedy and (self.values or self.cause or not self._entry.name):
+        if not self.remedy:
             object.__setattr__(self, "remedy", self._filled(self._entry.remedy))
 
     @classmethod
@@ -117,7 +119,7 @@ class Finding:
         return ENTRIES[self.code]
 
     def _filled(self, text: str) -> str:
-        known: dict[str, Any] = {"actuators": self.actuators, **self.values}
+        known: dict[str, Any] = {"actuators": self.actuators, "detail": self.detail, **self.values}
         if self.cause is not None:
             known |= {"cause": self.cause.fault, "advice": self.cause.remedy}
         return Words().vformat(text, (), known).rstrip("; ")
@@ -202,6 +204,31 @@ class Finding:
             cause = {"code": str(self.cause.code), "remedy": self.cause.remedy}
             parts["cause"] = cause | json.loads(self.cause.stored)
         return json.dumps(parts)
+
+
+def about_actuators(
+    layout: Layout, code: Code, which: Any, where: str = "{}", *, many: str = "", **values: Any
+) -> Finding:
+    """Return a finding about some actuators, whose names take the place of '{}' in ``where``.
+
+    Parameters
+    ----------
+    layout, code
+        All actuators; what was found.
+    which
+        Indices among the enabled ones, or a mask of these.
+    many
+        How actuators are counted that are too many to be named, as 'columns'.
+    values
+        Other attributes of the finding.
+    """
+    enabled = layout.id[layout.enabled]
+    ids = enabled[which].tolist()
+    names = named("actuator", ids, MAX_NAMED_ACTUATORS) if ids else ""
+    if many and len(ids) > MAX_NAMED_ACTUATORS:
+        names = f"{len(ids)} of {len(enabled)} {many}"
+    where = where.replace("{}", names)
+    return Finding(code=code, where=where, actuators=tuple(ids), **values)
 
 
 def from_stored(code: str, remedy: str, parts: Mapping[str, Any]) -> Finding:

@@ -2,112 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.finding import Finding, about_actuators
 from truenewton.estimation.readings.row_readers import RowPrints
+from truenewton.estimation.screening.hypotheses import named_files
 from truenewton.records.campaign import Campaign
-from truenewton.rounding import listed, named
 
 MIN_FROZEN_ROWS = 3  # rows
 MIN_FROZEN_FRACTION = 0.1  # of the rows of a file, one after the other
 MAX_FROZEN_ACTUATORS = (
     0.03  # of the actuators: where more readings stand still, shapes do not reach them
 )
-MAX_NAMED_FROZEN = 3  # actuators that are named
 
 
-def frozen_readings(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
+def frozen_readings(campaign: Campaign, prints: RowPrints) -> Iterator[Finding]:
     """Name readings that do not change from shape to shape in a file, where the others do.
 
-    One that is the same in all files is `odd_actuators.constant_actuators`'.
+    One that is the same in all files is `inputs.constant_actuators`'.
     """
-    return tuple(_frozen(campaign, prints))
-
-
-def _frozen(campaign: Campaign, prints: RowPrints) -> Iterator[Finding]:
-    ids = campaign.layout.id[campaign.layout.enabled]
     whole = [prints.longest[file] == prints.rows(file) - 1 for file in prints.longest]
     constant = np.logical_and.reduce(whole)
     for file, longest in sorted(prints.longest.items()):
         name, still = campaign.cycles[file].name, _stand_still(prints, file)
-        share = longest / prints.rows(file)
+        share, frozen = longest / prints.rows(file), np.flatnonzero(still & ~constant)
         if still.all() and not constant.all():
-            yield _effect(
-                Code.FROZEN_READINGS,
-                f"all actuators in {name}",
-                float(share.min()),
-                "leave the file out, or mark the rows that repeat the one before as not VALID",
-            )
-        elif np.count_nonzero(still & ~constant) <= max(1, MAX_FROZEN_ACTUATORS * len(ids)):
-            for i in np.flatnonzero(still & ~constant):
-                yield _effect(
-                    Code.FROZEN_READING,
-                    f"actuator {ids[i]} in {name}",
-                    float(share[i]),
-                    "leave the file out, or mark the rows in which it stands still as not VALID;"
-                    " have its electronics looked at",
-                    (int(ids[i]),),
-                )
-
-
-def still_sensors(campaign: Campaign) -> NDArray[np.bool_]:
-    """Tell which of (files, n) sensors read the same in all rows of a file; () are read nowhere.
-
-    Not where all do: none may have been read, which is `files_apart`'s.
-    """
-    n = int(campaign.layout.enabled.sum())
-    still = [
-        cycle.stroke == 0.0
-        if cycle.position is not None and np.count_nonzero(cycle.valid) >= MIN_FROZEN_ROWS
-        else np.zeros(n, dtype=np.bool_)
-        for cycle in campaign.cycles
-    ]
-    return np.array([each & ~each.all() for each in still])
-
-
-def frozen_sensors(campaign: Campaign) -> tuple[Finding, ...]:
-    """Name sensors that read the same in all rows of a file."""
-    still, ids = still_sensors(campaign), campaign.layout.id[campaign.layout.enabled]
-    found = dict[tuple[int, ...], list[int]]()
-    for i in np.flatnonzero(still.any(axis=0)).tolist():
-        found.setdefault(tuple(np.flatnonzero(still[:, i]).tolist()), []).append(int(ids[i]))
-    return tuple(
-        _effect(
-            Code.FROZEN_SENSOR,
-            f"POSITION of {named('actuator', actuators, MAX_NAMED_FROZEN)} is the same in all rows"
-            + (
-                ""
-                if len(files) == len(still)
-                else f" of {listed(_names(campaign, files), MAX_NAMED_FROZEN)}"
-            ),
-            len(files) / len(still),
-            "have its electronics looked at: it counts as if it did not move, and no stiffness can"
-            " be had of it"
-            if len(files) == len(still)
-            else "have its electronics looked at, and leave the files out where POSITION is needed",
-            tuple(actuators),
-        )
-        for files, actuators in found.items()
-    )
-
-
-def _names(campaign: Campaign, files: Sequence[int]) -> list[str]:
-    return [campaign.cycles[k].name for k in files]
+            where, size = f"all actuators in {name}", float(share.min())
+            yield Finding(code=Code.FROZEN_READINGS, where=where, size=size)
+        elif frozen.size <= max(1, MAX_FROZEN_ACTUATORS * still.size):
+            for i in frozen.tolist():
+                where, size = f"{{}} in {name}", float(share[i])
+                yield about_actuators(campaign.layout, Code.FROZEN_READING, [i], where, size=size)
 
 
 def _stand_still(prints: RowPrints, file: int) -> NDArray[np.bool_]:
     """Tell which of (n,) readings of a file stand still, but not at a limit of several."""
-    longest, limit = prints.longest[file], prints.limit[file]
-    common = limit == limit.max(initial=0.0)
+    longest, common = prints.longest[file], _at_common_limit(prints, file)
     at_limit = common & (np.count_nonzero(common) > 1) & (prints.at_limit[file] > longest)
-    return np.asarray(
-        (longest >= max(MIN_FROZEN_ROWS, MIN_FROZEN_FRACTION * prints.rows(file))) & ~at_limit
-    )
+    least = max(MIN_FROZEN_ROWS, MIN_FROZEN_FRACTION * prints.rows(file))
+    return np.asarray((longest >= least) & ~at_limit)
+
+
+def _at_common_limit(prints: RowPrints, file: int) -> NDArray[np.bool_]:
+    """Tell which of (n,) readings of a file reach the largest of all."""
+    limit = prints.limit[file]
+    return np.asarray(limit == limit.max(initial=0.0))
 
 
 def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
@@ -115,25 +58,17 @@ def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ..
 
     A limit is no fault where the force ends there as well: it is one where data do not fit.
     """
-    ids = campaign.layout.id[campaign.layout.enabled]
-    clipped, largest = np.zeros(len(ids), dtype=bool), 0.0
+    clipped, largest = np.zeros(int(campaign.layout.enabled.sum()), dtype=bool), 0.0
     for file, limit in prints.limit.items():
-        count, common = prints.at_limit[file], limit == limit.max(initial=0.0)
+        count, common = prints.at_limit[file], _at_common_limit(prints, file)
         here = (count >= MIN_FROZEN_ROWS) | (common & (count[common].sum() >= MIN_FROZEN_ROWS))
         here &= (limit > 0.0) & ~_stand_still(prints, file)
         clipped |= here
         largest = max(largest, float(limit[here].max(initial=0.0)))
     if not clipped.any() or _few_valued(prints):
         return ()
-    return (
-        _effect(
-            Code.CLIPPED_READINGS,
-            f"{named('actuator', ids[clipped].tolist(), MAX_NAMED_FROZEN)}, at {largest:.4g} N",
-            float(clipped.mean()),
-            "use smaller shapes, or mark the rows that reach the limit as not VALID",
-            tuple(ids[clipped].tolist()),
-        ),
-    )
+    where, size = f"{{}}, at {largest:.4g} N", float(clipped.mean())
+    return (about_actuators(campaign.layout, Code.CLIPPED_READINGS, clipped, where, size=size),)
 
 
 def _few_valued(prints: RowPrints) -> bool:
@@ -144,7 +79,31 @@ def _few_valued(prints: RowPrints) -> bool:
     return bool(np.median(distinct.sum(axis=0) / np.maximum(rest.sum(axis=0), 1)) < 0.5)
 
 
-def _effect(
-    code: Code, where: str, size: float, remedy: str, actuators: tuple[int, ...] = ()
-) -> Finding:
-    return Finding(code=code, where=where, actuators=actuators, size=size, remedy=remedy)
+def still_sensors(campaign: Campaign) -> NDArray[np.bool_]:
+    """Tell which of (files, n) sensors read the same in all rows of a file.
+
+    Not where all do: none may have been read, which is `compare_files`'.
+    """
+    still = [
+        (cycle.stroke == 0.0)
+        & (cycle.position is not None)
+        & (np.count_nonzero(cycle.valid) >= MIN_FROZEN_ROWS)
+        for cycle in campaign.cycles
+    ]
+    return np.array([each & ~each.all() for each in still])
+
+
+def frozen_sensors(campaign: Campaign) -> Iterator[Finding]:
+    """Name sensors that read the same in all rows of a file."""
+    still = still_sensors(campaign)
+    for pattern in dict.fromkeys(map(tuple, still.T[still.any(axis=0)].tolist())):
+        files = np.array(pattern)
+        where, remedy = "POSITION of {} is the same in all rows", ""
+        if files.all():
+            remedy = "have its electronics looked at: it counts as if it did not move, and no"
+            remedy += " stiffness can be had of it"
+        else:
+            where += f" of {named_files(campaign, np.flatnonzero(files))}"
+        which = (files == still.T).all(axis=1)
+        yield about_actuators(campaign.layout, Code.FROZEN_SENSOR, which, where,
+                              size=float(np.mean(files)), remedy=remedy)  # fmt: skip

@@ -25,22 +25,19 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.readings.moments import QUARTILE, Moments
 from truenewton.estimation.readings.repeats import RepeatSums
 from truenewton.estimation.readings.row_readers import RowPrints
-from truenewton.estimation.screening.compare_files import (
-    MIN_DIFFERENCE_OF_REPEATING_FILES,
-    compare_files,
-    copied_files,
-    unlike_files,
-)
-from truenewton.estimation.screening.file_labels import (
-    files_in_other_units,
-    mislabelled_files,
-    mislabelled_rows,
-)
 from truenewton.estimation.screening.frozen_readings import (
     clipped_readings,
     frozen_readings,
     frozen_sensors,
     still_sensors,
+)
+from truenewton.estimation.screening.hypotheses import (
+    MIN_DIFFERENCE_OF_REPEATING_FILES,
+    compare_files,
+    copied_files,
+    mislabelled_files,
+    mislabelled_rows,
+    unlike_files,
 )
 from truenewton.estimation.screening.noise import Structure, pooled_where_it_fits, reading_noise
 from truenewton.records.campaign import Campaign
@@ -109,10 +106,9 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
         _require_stored(campaign)
     sums = RepeatSums(campaign, client=client)
     prints = sums.prints
-    units = files_in_other_units(campaign, prints)
     apart = compare_files(campaign, prints)
     suspects = (
-        *(units or apart),
+        *apart,
         *copied_files(campaign, prints, in_steps=bool(np.any(sums.step))),
         *mislabelled_files(campaign, sums.moments),
         *frozen_readings(campaign, prints),
@@ -136,13 +132,13 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
                 raise refusal
         except TooManyOutliers as error:
             every = range(len(campaign.cycles))
-            suspects += () if units or apart else _relabelled(campaign, prints, every)
+            suspects += () if apart else _relabelled(campaign, prints, every)
             raise naming(error, suspects + clipped) from None
     suspects += () if apart else _relabelled(campaign, prints, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
     moments, frozen = sums.moments, tuple[Finding, ...]()
     if (displacement := sums.displacement()) is not None:
-        frozen = frozen_sensors(campaign)
+        frozen = tuple(frozen_sensors(campaign))
         displacement[:, still_sensors(campaign).any(axis=0)] = 0.0
         moments = replace(moments, displacement=displacement)
     moments, structure = pooled_where_it_fits(moments, noise, sums.samples)

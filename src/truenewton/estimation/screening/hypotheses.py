@@ -1,0 +1,444 @@
+"""Whether a file is what it claims to be: its unit, signs, columns, labels, load and origin.
+
+A shape costs the same forces in every file, whatever hangs on the mirror, and moves the sensors by
+as much. So rows of each file under the same label (SHAPE times SIGN), their mean taken off, are
+alike but for noise. Where those of a file are not, hypotheses are tried: another unit or sign,
+columns in another order or of the other sign, other labels. One is accepted if it leaves little of
+the distance to the other files.
+
+Forces at rest tell the load of a file without any fit. With one static force for each file and one
+elastic force for each label, rows are c = s_file + e_label; least squares for s of all files, e
+eliminated, need no more than sums that `moments` has (a Laplacian over the files). Files under one
+load then lie together, those under another apart: where as many clusters as loads stand clearly
+apart, a file in the cluster of another load has the wrong name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import chain, combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.finding import (
+    MAX_NAMED_ACTUATORS,
+    Finding,
+    about_actuators,
+)
+from truenewton.estimation.readings.moments import Moments, WithinGroups
+from truenewton.estimation.readings.row_readers import RowPrints, common_labels
+from truenewton.linalg import assignment
+from truenewton.records.campaign import Campaign
+from truenewton.rounding import listed, significant
+from truenewton.statics.arms import enabled_arms
+
+MIN_DIFFERENCE = 0.3  # of a column's size: beyond, it is not what it is in the other files
+MAX_REMAINING_DISTANCE = 0.3  # of a distance, which a hypothesis that is accepted leaves at most
+MAX_NAMED_FILES = 2  # that are named one by one
+
+
+def agree(left: Any, before: Any) -> Any:
+    """Tell whether a hypothesis leaves little of squared distances."""
+    return left < MAX_REMAINING_DISTANCE**2 * before
+
+
+def squared_differences(rows: Array, others: Array) -> Array:
+    """Return (m, k) squared distances of (m, n) rows from (k, n) others."""
+    square = np.sum(rows**2, axis=1)[:, None] + np.sum(others**2, axis=1)
+    return np.asarray(np.maximum(square - 2.0 * rows @ others.T, 0.0))
+
+
+def clusters(distance: Array, count: int) -> NDArray[np.int64] | None:
+    """Return (files,) cluster of each of the files, so many in all; None where none is clear.
+
+    Of two that are merged the nearest are first (single linkage), by (files, files) distances.
+    """
+    member, heights = np.arange(len(distance)), dict[int, float]()
+    while len(left := np.unique(member)) > 1:
+        if len(left) == count:
+            answer = np.searchsorted(left, member)
+        apart = np.where(member[:, None] == member, np.inf, distance)
+        one, other = np.unravel_index(apart.argmin(), apart.shape)
+        heights[len(left)] = float(apart[one, other])
+        member[member == member[other]] = member[one]
+    between, within = heights.get(count, 0.0), heights.get(count + 1, np.inf)
+    return answer if within < MAX_REMAINING_DISTANCE * between else None
+
+
+def named_files(campaign: Campaign, files: Iterable[int]) -> str:
+    """Return the names of the first files, and how many more there are."""
+    return listed([campaign.cycles[k].name for k in files], MAX_NAMED_FILES)
+
+
+# --- unit, sign and columns -----------------------------------------------------------------------
+
+MIN_SHARED_LABELS = 8  # labels that all files share: of fewer, two columns may be alike by chance
+MAX_ORDERED_COLUMNS = 1000  # columns that are put in order
+MIN_UNIT_FACTOR = 2.0  # times as large, or as small, as the others a file is in another unit
+
+
+class Difference(NamedTuple):
+    """What happened to a file: to some of its columns (none: to all), and how much larger it is."""
+
+    code: Code
+    columns: tuple[int, ...] = ()
+    times: str = ""
+
+
+def compare_files(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
+    """Name files whose FORCE or POSITION stands for other actuators, signs or units than elsewhere.
+
+    What most files say is taken for right; of two files, or two halves, nobody can tell.
+
+    Parameters
+    ----------
+    campaign, prints
+        The files; some of their rows.
+    """
+    findings = list[Finding]()
+    found = dict[tuple[Difference, tuple[int, ...]], list[str]]()
+    for quantity, rows in (("FORCE", prints.common_rows()), ("POSITION", _positions(campaign))):
+        if rows is None or len(rows) < 2 or rows.shape[1] < MIN_SHARED_LABELS:
+            continue
+        if quantity == "POSITION" and not np.ptp(rows, axis=(0, 1)).any():
+            findings.append(Finding(code=Code.CONSTANT_POSITION))
+            continue
+        differences = _from_the_most_typical(_centred(rows))
+        right = max(dict.fromkeys(differences), key=differences.count)
+        for what in dict.fromkeys(chain(*differences)):
+            files = tuple(k for k, d in enumerate(differences) if (what in d) != (what in right))
+            found.setdefault((what, files), []).append(quantity)
+    for (what, files), quantities in found.items():
+        # Where SIGN is reversed, both are: that is said by the labels.
+        alone = len(quantities) == 1 and campaign.cycles[0].position is not None
+        if alone or what != Difference(Code.OTHER_SIGN):
+            findings.append(_said(campaign, what, files, " and ".join(quantities)))
+    return tuple(findings)
+
+
+def _said(campaign: Campaign, what: Difference, files: tuple[int, ...], columns: str) -> Finding:
+    count, where = len(campaign.cycles), named_files(campaign, files)
+    if 2 * len(files) >= count:
+        where += f", or in {named_files(campaign, (k for k in range(count) if k not in files))}"
+    if what.times:
+        where += f", {what.times} times the others"
+    if what.columns:
+        where = f"{{}} in {where}"
+    which = list(what.columns)
+    return about_actuators(campaign.layout, what.code, which, where, many="actuators",
+                           detail=columns, size=len(files) / count)  # fmt: skip
+
+
+def _positions(campaign: Campaign) -> Array | None:
+    """Return (files, m, n) readings of sensors under labels that all files have [m], or None."""
+    codes = [(c.shape * c.sign)[c.valid] for c in campaign.cycles]
+    chosen, readings = common_labels(codes), []
+    for cycle, of in zip(campaign.cycles, codes, strict=True):
+        if cycle.position is None:
+            return None
+        first = np.array([np.argmax(of == label) for label in chosen], dtype=np.int64)
+        readings.append(cycle.used(cycle.position, first))
+    return np.stack(readings)
+
+
+def _centred(rows: NDArray[Any]) -> Array:
+    """Return (files, m, n) rows less the mean of each file; what stands still is 0 exactly."""
+    moved = rows - rows[:, :1].astype(np.float64)
+    return np.asarray(moved - moved.mean(axis=1, keepdims=True)) if moved.size else moved
+
+
+def _from_the_most_typical(rows: Array) -> list[tuple[Difference, ...]]:
+    """Return how each of (files, m, n) rows differs from the file that is most like the others."""
+    flat = rows.reshape(len(rows), -1)
+    typical = rows[np.median(squared_differences(flat, flat), axis=1).argmin()]
+    return [tuple(_differences(file, typical)) for file in rows]
+
+
+def _differences(rows: Array, typical: Array) -> Iterator[Difference]:
+    """Yield how (m, n) rows differ from those under the same labels in another file."""
+    own, size, other_size = _square(rows - typical), _square(typical), _square(rows)
+    odd = np.flatnonzero(own > MIN_DIFFERENCE**2 * np.maximum(size, other_size))
+    if not odd.size:
+        return
+    times = float(np.sum(rows * typical) / max(np.sum(size), 1e-300))
+    if agree(_square(rows - times * typical).sum(), min(own.sum(), other_size.sum())):
+        if not 1.0 / MIN_UNIT_FACTOR < abs(times) < MIN_UNIT_FACTOR:
+            yield Difference(Code.OTHER_UNIT, times=significant(abs(times)))
+        elif times < 0.0:
+            yield Difference(Code.OTHER_SIGN)
+        return
+    moved = np.zeros(odd.size, dtype=np.bool_)
+    if odd.size <= MAX_ORDERED_COLUMNS:
+        moved = _moved(rows[:, odd], typical[:, odd])
+    if moved.any():
+        few = np.count_nonzero(moved) <= MAX_NAMED_ACTUATORS
+        code = Code.EXCHANGED_COLUMNS if few else Code.OTHER_ORDER
+        yield Difference(code, tuple(odd[moved].tolist()))
+    turned = agree(_square(rows + typical), own)[odd]
+    if turned.any():
+        yield Difference(Code.OTHER_SIGN, tuple(odd[turned].tolist()))
+
+
+def _moved(rows: Array, typical: Array) -> NDArray[np.bool_]:
+    """Tell which of the columns of (m, n) rows are those of others among them."""
+    apart = squared_differences(rows.T, typical.T)
+    order, itself = assignment(apart), np.arange(len(apart))
+    moved = (order != itself) & agree(apart[itself, order], apart[itself, itself])
+    while not moved[order[moved]].all():  # what comes from a column that did not move is no order
+        moved &= moved[order]
+    return np.asarray(moved)
+
+
+def _square(values: Array) -> Array:
+    return np.asarray(np.einsum("ij,ij->j", values, values))
+
+
+# --- labels ---------------------------------------------------------------------------------------
+
+MIN_RELABELLED_FRACTION = 0.3  # of the rows of a file that fit other labels
+MIN_SAME_SHIFT_FRACTION = 0.8  # of these that moved the same way
+
+
+def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding, ...]:
+    """Name files whose rows fit other labels than theirs: SIGN reversed, or SHAPE counted anew.
+
+    Parameters
+    ----------
+    campaign
+        The files, in memory; else nothing is said.
+    files
+        Which of them to look at: their rows lie far from their repeats.
+    """
+    if not all(isinstance(cycle.force, np.ndarray) for cycle in campaign.cycles):
+        return ()
+    rows = [cycle.used_force - cycle.used_force[cycle.paired_rows].mean(axis=0)
+            for cycle in campaign.cycles]  # fmt: skip
+    labels = [cycle.shape[cycle.valid] * cycle.sign[cycle.valid] for cycle in campaign.cycles]
+    codes = {
+        k: _other_labels(
+            rows[k], labels[k],
+            np.concatenate(rows[:k] + rows[k + 1 :]), np.concatenate(labels[:k] + labels[k + 1 :]),
+        )
+        for k in files
+    }  # fmt: skip
+    return tuple(
+        Finding(
+            code=code,
+            where=campaign.cycles[k].name,
+            size=float(np.sqrt(np.mean(rows[k] ** 2))),
+            unit="N",
+        )
+        for k, code in codes.items()
+        if code is not None
+    )
+
+
+def _other_labels(
+    rows: Array, labels: NDArray[np.int64], others: Array, other_labels: NDArray[np.int64]
+) -> Code | None:
+    """Return how (m, n) rows of a file are labelled otherwise than others are, if they are."""
+    known = np.unique(other_labels)
+    # The median: one of the others may be wrong, too.
+    typical = np.array([np.median(others[other_labels == label], axis=0) for label in known])
+    shared = np.isin(labels, known)
+    rows, labels = rows[shared], labels[shared]
+    if not len(rows):
+        return None
+    square = squared_differences(rows, typical)
+    moved = agree(square.min(axis=1), square[np.arange(len(rows)), np.searchsorted(known, labels)])
+    if np.count_nonzero(moved) < max(3, MIN_RELABELLED_FRACTION * len(rows)):
+        return None
+    best, said = known[square.argmin(axis=1)][moved], labels[moved]
+    if np.mean(best == -said) > MIN_SAME_SHIFT_FRACTION:
+        return Code.SIGN_REVERSED
+    shapes = np.unique(np.abs(known))
+    step = np.searchsorted(shapes, np.abs(best)) - np.searchsorted(shapes, np.abs(said))
+    step %= len(shapes)
+    if step.any() and np.mean(step == np.bincount(step).argmax()) > MIN_SAME_SHIFT_FRACTION:
+        return Code.SHAPE_OFFSET
+    return Code.OTHER_LABELS
+
+
+# --- load -----------------------------------------------------------------------------------------
+
+MAX_PLAUSIBLE_ALPHA = 5.0  # alpha, or its inverse: beyond, what lies apart is not the weight
+WEIGHT_TOLERANCE = 1e-6  # of a weight, by which loads of one name differ at most
+INDISTINCT_RATIO = 1.5  # times as far as files of one load lie apart
+
+
+def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[Finding, ...]:
+    """Name files whose forces at rest are those of another load than they say.
+
+    Parameters
+    ----------
+    campaign, moments
+        The files; their rows, none left out.
+    """
+    if moments.within is None or len(campaign.loads) < 2 or len(campaign.cycles) < 3:
+        return ()
+    rest = rest_by_file(moments, moments.within)
+    if rest is None:
+        return ()
+    distance, said = np.linalg.norm(rest[:, None] - rest, axis=2), np.array(campaign.load_index)
+    for count in range(len(campaign.loads), 1, -1):  # fewer where one load stands under two names
+        cluster = clusters(distance, count)
+        if cluster is not None:  # of the load of most of its files
+            together = np.zeros((count, len(campaign.loads)), dtype=np.int64)
+            np.add.at(together, (cluster, said), 1)
+            true = assignment(-together)[cluster]
+            return tuple(_mislabelled(campaign, rest, distance, true))
+    return ()
+
+
+def _mislabelled(
+    campaign: Campaign, rest: Array, distance: Array, true: NDArray[np.int64]
+) -> Iterator[Finding]:
+    """Name files whose load is another than they say, if the weights agree with that."""
+    said, weights = np.array(campaign.load_index), campaign.effective_weights
+    there, total = np.unique(true), rest @ enabled_arms(campaign.layout)[0]
+    means = {load: rest[true == load].mean(axis=0) for load in there.tolist()}
+    sums = np.array([total[true == load].mean() for load in there])
+    first, second = np.triu_indices(len(there), 1)
+    alpha = (weights[there[first]] - weights[there[second]]) / (sums[second] - sums[first])
+    alpha = np.abs(alpha)
+    if not ((alpha > 1.0 / MAX_PLAUSIBLE_ALPHA) & (alpha < MAX_PLAUSIBLE_ALPHA)).all():
+        return
+    same = (true[:, None] == true) & (said[:, None] == said) & ~np.eye(len(said), dtype=bool)
+    usual = float(np.median(distance[same])) if same.any() else np.inf
+    scatter = float(np.abs(total[:, None] - total)[same].max()) if same.any() else 0.0
+    named = dict[tuple[int, int], list[int]]()
+    for k in np.flatnonzero(true != said).tolist():
+        own, other = int(said[k]), int(true[k])
+        differ = abs(float(weights[own] - weights[other]))
+        if own in means or differ > WEIGHT_TOLERANCE * abs(weights[other]):
+            # A load that differs little from the other lies with it: so it may be what it says.
+            off = max(abs(float(total[k] - sums[there == other].item())), scatter)
+            if own not in means and alpha.max() * off > MAX_REMAINING_DISTANCE * differ:
+                continue
+            yield Finding(
+                code=Code.OTHER_LOAD,
+                where=f"{campaign.cycles[k].name}, at rest as under {campaign.loads[other].name}",
+                size=float(np.sqrt(np.mean((means[other] - rest[k]) ** 2))),
+                unit="N",
+            )
+        elif np.median(distance[k][(true == other) & (said == other)]) < INDISTINCT_RATIO * usual:
+            named.setdefault((own, other), []).append(k)
+    for (own, other), files in named.items():
+        one, two = (f"'{campaign.loads[load].name}'" for load in (own, other))
+        yield Finding(
+            code=Code.LOAD_OF_TWO_NAMES,
+            where=f"{one} in {named_files(campaign, files)} is as {two} at rest",
+            remedy=f"let LOAD say {two} there, or {one} elsewhere, unless loads were two",
+        )
+
+
+def rest_by_file(moments: Moments, within: WithinGroups) -> Array | None:
+    """Return (files, n) static forces of each file but for what is common to all [N].
+
+    None where files share too few shapes to be compared.
+    """
+    files, labels = len(within.weight), moments.labels[:, 1] * moments.labels[:, 2]
+    code = np.unique(labels, return_inverse=True)[1].ravel()
+    weight = np.array([np.bincount(code, of_file) for of_file in within.weight])
+    total = np.maximum(weight.sum(axis=0), 1e-300)
+    share = (weight / total)[:, code] * moments.weight
+    apart = within.zero[:files] + (within.weight - share) @ moments.mean
+    laplacian = np.diag(weight.sum(axis=1)) - (weight / total) @ weight.T
+    values, vectors = np.linalg.eigh(laplacian)
+    if values[1] <= 1e-9 * values[-1]:
+        return None
+    return np.asarray((vectors[:, 1:] / values[1:]) @ (vectors[:, 1:].T @ apart))
+
+
+# --- origin ---------------------------------------------------------------------------------------
+
+MIN_GROUP_DIFFERENCE = 0.02  # of their size two lots of files differ
+MIN_DIFFERENCE_OF_REPEATING_FILES = (
+    0.08  # where each file repeats, and nothing but the balance speaks against them
+)
+MIN_IDENTICAL_FRACTION = 0.2  # of the rows compared that are identical
+MIN_IDENTICAL_FRACTION_OF_STEPS = 0.9  # of them, where readings come in steps
+MIN_COMPARED_ROWS = 2  # rows
+MIN_RATIO_TO_OTHER_FILES = (
+    4.0  # times as many as between those files under one load that share the fewest
+)
+
+
+def unlike_files(
+    campaign: Campaign, prints: RowPrints, least: float = MIN_GROUP_DIFFERENCE
+) -> tuple[Finding, ...]:
+    """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do.
+
+    Parameters
+    ----------
+    campaign, prints
+        The files; some of their rows.
+    least
+        Of their size by which the lots differ.
+    """
+    rows = _centred(prints.common_rows())
+    if len(rows) < 3 or rows.shape[1] < MIN_SHARED_LABELS:
+        return ()
+    distance = np.zeros((len(rows), len(rows)))
+    for one, other in combinations(range(len(rows)), 2):
+        distance[one, other] = distance[other, one] = _apart(rows[one], rows[other])
+    lot = clusters(distance, 2)
+    if lot is None or distance[lot[:, None] != lot].min() < least:
+        return ()
+    fewer = lot == np.bincount(lot).argmin()
+    few, most = (named_files(campaign, np.flatnonzero(some)) for some in (fewer, ~fewer))
+    where, size = f"{few} against {most}", float(fewer.mean())
+    return (Finding(code=Code.TWO_MIRRORS, where=where, size=size),)
+
+
+def _apart(rows: Array, others: Array) -> float:
+    """Return how far the columns of (m, n) rows typically lie from others, in terms of their size.
+
+    A gain that rows have as a whole does not count, nor what few columns do.
+    """
+    gain = float(np.sum(rows * others) / max(np.sum(others**2), 1e-300))
+    size = np.maximum(_square(gain * others), 1e-300)
+    return float(np.sqrt(np.median(_square(rows - gain * others) / size)))
+
+
+def copied_files(
+    campaign: Campaign, prints: RowPrints, *, in_steps: bool = False
+) -> tuple[Finding, ...]:
+    """Name files that hold the readings of others: rows of the same SHAPE and SIGN, bit by bit.
+
+    Of files under one load nothing is said where even those of different origin repeat to the last
+    bit: then there is no noise, or less than rounding hides.
+
+    Parameters
+    ----------
+    campaign, prints
+        The files; prints of their rows.
+    in_steps
+        Whether readings come in steps, so that rows may be alike by chance.
+    """
+    rows: list[dict[int, bytes]] = [{} for _ in campaign.cycles]
+    for (file, code), readings in prints.taken.items():
+        rows[file][code] = readings
+    load, same, by_chance = campaign.load_index, dict[tuple[int, int], float](), list[float]()
+    share = MIN_IDENTICAL_FRACTION_OF_STEPS if in_steps else MIN_IDENTICAL_FRACTION
+    for one, other in combinations(range(len(rows)), 2):
+        common = rows[one].keys() & rows[other].keys()
+        alike = sum(rows[one][code] == rows[other][code] for code in common)
+        if common and load[one] == load[other]:
+            by_chance.append(alike / len(common))
+        if alike >= max(min(MIN_COMPARED_ROWS, len(common)), share * len(common), 1):
+            same[one, other] = alike / len(common)
+    usual = MIN_RATIO_TO_OTHER_FILES * min(by_chance) if by_chance and len(rows) > 2 else 0.0
+    return tuple(
+        Finding(
+            code=Code.COPIED_FILE,
+            where=f"{campaign.cycles[other].name} of {campaign.cycles[one].name}",
+            size=alike,
+        )
+        for (one, other), alike in same.items()
+        if alike > usual or load[one] != load[other]
+    )
