@@ -50,7 +50,7 @@ from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
-from truenewton.records.result import Result
+from truenewton.records.result import Summarised
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -161,7 +161,7 @@ def _largest_angle(v: Array, w: Array, c: Array, order: int) -> float:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModalFindings(Result):
+class ModalFindings(Summarised):
     """The modal base with alpha, compared with that for alpha = 1.
 
     Attributes

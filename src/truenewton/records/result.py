@@ -72,22 +72,26 @@ def write(result: Any, path: str | os.PathLike[str], *, overwrite: bool = False)
     write_fits(path, form, result, versions=versions, of_version=of_version, overwrite=overwrite)
 
 
-class Result:
-    """A result of one body, or of several segments."""
+class Summarised:
+    """What a notebook shows as its summary."""
 
     @property
     def _one(self) -> Any:
         """The result itself; of several segments the first: what is done depends on its class."""
         return self
 
+    def _repr_html_(self) -> str | None:
+        summary = summary_of.dispatch(type(self._one))(self)
+        return html_table(*summary) if summary else None
+
+
+class Result(Summarised):
+    """A result of one body, or of several segments, that has a file."""
+
     @property
     def _kind(self) -> ResultKind[Any]:
         """Its columns, keywords and file."""
         return KINDS[type(self._one)]
-
-    def _repr_html_(self) -> str | None:
-        summary = summary_of.dispatch(type(self._one))(self)
-        return html_table(*summary) if summary else None
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the result (docs/files.md); of several segments all into one file.
