@@ -186,7 +186,7 @@ def beside_shared_noise(
 
     In their order: which is the likeliest, noise that is independent tells.
 
-    ``samples`` as in `structure.structure_of`, (m, n) [N].
+    ``samples`` as in `noise.structure_of`, (m, n) [N].
     """
     some = [test for test in found if test.effect.within]
     judged = [_judged(test, fit, np.concatenate(samples)) for test in some]

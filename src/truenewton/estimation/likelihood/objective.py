@@ -14,7 +14,7 @@ V = Sigma - Sigma diag(alpha) A' S^-1 A diag(alpha) Sigma, which feigns, for eac
 
 H = M - D is the information, and H^-1 M H^-1 the covariance. Noise need not be independent: motion
 of the mirror itself balances, so that less of Sigma reaches rho and P; V has all of it. Everything
-is written in sums over shapes (`shape_sums.ShapeSums`), so that an iteration costs O(n^3) whatever
+is written in sums over shapes (`moments.ShapeSums`), so that an iteration costs O(n^3) whatever
 the number of shapes.
 """
 

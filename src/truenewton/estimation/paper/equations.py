@@ -169,7 +169,7 @@ def system_e(campaign: Campaign, a: Array) -> tuple[Array, Array]:
     -------
     E, r
         (3 N, n + 1 + 2 L) and (3 N,), N over all loads. The unknowns are alpha, B, and M_y, M_x of
-        each load (`unknowns.Unknowns`). Loads follow each other; in each, the shapes of its cycles
+        each load (`Unknowns`). Loads follow each other; in each, the shapes of its cycles
         follow each other in every block.
     """
     unknowns = Unknowns(a.shape[1], len(campaign.loads))

@@ -20,7 +20,7 @@ their number, sum and second moment: one symmetric rank-k update by BLAS.
 
 Where POSITION and the gradients are given, c becomes c (1 + COILGRAD z), and the bias magnets'
 change BIASGRAD z is kept as a known part of the balance (docs/files.md). Displacements count from
-one reading of each sensor for the whole campaign (`displaced_rows.common_reference`).
+one reading of each sensor for the whole campaign (`rows.common_reference`).
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Evidence:
     Attributes
     ----------
     blocks
-        chi2 per degree of freedom of `gate.BLOCKS`, against noise that is known.
+        chi2 per degree of freedom of `BLOCKS`, against noise that is known.
     held_out, by_balance
         Rms imbalance of modes that the fit has not seen, with reciprocity and by balance alone.
     apart

@@ -141,7 +141,7 @@ def designs(
     fitted: Likeliest,
     length: float,
 ) -> dict[Kind, Design]:
-    """Return the design of each kind; ``length`` is that of `sight.Places`."""
+    """Return the design of each kind; ``length`` is that of `sensor_model.Places`."""
     made = {Kind.ALPHA: Design(states.displacements.T, fitted.forces.T)}
     if len(kinds) == 1:
         return made
