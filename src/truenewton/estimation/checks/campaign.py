@@ -20,7 +20,7 @@ from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.readings.repeats import WEIGHED_NOISE
 from truenewton.estimation.readings.rows import is_displaced
 from truenewton.estimation.screening.frozen_readings import still_sensors
-from truenewton.records.campaign import mean_temperature
+from truenewton.records.campaign import Campaign, mean_temperature
 
 MIN_SCATTER_RATIO = 1.5  # times FORCERR: a scatter of the repeats that is said
 MAX_DAYS_APART = 30.0  # days without a file, in one campaign
@@ -42,15 +42,16 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
     size = float(np.sum(minimum.values[problem.unknowns.weights] ** 2))
     if loads > 2 and chi2_sf(size, loads - 2) <= 1e-3:
         yield Finding.of(Code.WEIGHTS_DISAGREE, loads=loads, sigmas=float(np.sqrt(size)))
-    yield from _date_warnings(problem)
-    yield from _warm_warnings(problem)
-    yield from _weight_warnings(problem, moments, minimum)
+    yield from _cycle_warnings(problem.campaign)
+    in_newton = LIMITS.lowest_alpha < np.median(minimum.values[: problem.n]) < LIMITS.highest_alpha
+    if in_newton:  # else a unit is wrong, perhaps of FORCE, and the verdict says so
+        yield from _weight_warnings(problem, moments, minimum)
     yield from _rounding_warnings(problem, moments)
     declared = all(cycle.force_error for cycle in problem.campaign.cycles)
     expected = WEIGHED_NOISE**2 + np.mean(moments.rounding)
     louder = float(np.sqrt(problem.noise.seen.mean() / expected))
     known = declared and problem.noise.source == NoiseSource.REPEATS
-    if known and louder > MIN_SCATTER_RATIO and _is_in_newton(problem, minimum):
+    if known and louder > MIN_SCATTER_RATIO and in_newton:
         noise = 1e3 * moments.noise
         yield Finding.of(Code.NOISE_ABOVE_DECLARED, noise=noise, ratio=louder)
     anew = int(np.count_nonzero(_set_anew(problem, moments)))
@@ -66,29 +67,17 @@ def _set_anew(problem: Problem, moments: Moments) -> NDArray[np.bool_]:
     return np.asarray(anew & ~still_sensors(campaign).any(axis=0))
 
 
-def _date_warnings(problem: Problem) -> Iterator[Finding]:
-    """Warn of files that were taken long before or after the others, if it is true."""
-    files = sorted(problem.campaign.cycles, key=lambda cycle: cycle.date)
+def _cycle_warnings(campaign: Campaign) -> Iterator[Finding]:
+    """Warn of files long before or after the others, and of a temperature too high for a bench."""
+    files = sorted(campaign.cycles, key=lambda cycle: cycle.date)
     days = [(b.date - a.date).total_seconds() / 86400 for a, b in pairwise(files)]
-    if max(days, default=0.0) < MAX_DAYS_APART:
-        return
-    cut = int(np.argmax(days)) + 1
-    lot = min(files[cut:], files[:cut], key=len)
-    names = [cycle.name for cycle in lot]
-    yield Finding.of(Code.DATES_APART, days=max(days), files=names)
-
-
-def _warm_warnings(problem: Problem) -> Iterator[Finding]:
-    """Warn of a temperature at which nobody works at a bench."""
-    warm = mean_temperature(problem.campaign.cycles)
+    if max(days, default=0.0) >= MAX_DAYS_APART:
+        cut = int(np.argmax(days)) + 1
+        names = [cycle.name for cycle in min(files[cut:], files[:cut], key=len)]
+        yield Finding.of(Code.DATES_APART, days=max(days), files=names)
+    warm = mean_temperature(campaign.cycles)
     if warm > WARM_TEMPERATURE:
         yield Finding.of(Code.TEMPERATURE_IMPLAUSIBLE, temperature=warm)
-
-
-def _is_in_newton(problem: Problem, minimum: Minimum) -> bool:
-    """Tell whether alpha is near 1; else a unit is wrong, and the verdict says so."""
-    median = float(np.median(minimum.values[: problem.n]))
-    return LIMITS.lowest_alpha < median < LIMITS.highest_alpha
 
 
 def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Finding]:
@@ -98,8 +87,6 @@ def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> It
     bear about that weight. Alpha rests on the differences between loads alone, unless they tilt.
     """
     campaign, n = problem.campaign, problem.n
-    if not _is_in_newton(problem, minimum):
-        return  # it may be the unit of FORCE that is wrong
     # By actuators first: another array of all means would be the largest of a calibration.
     commanded = np.maximum(moments.mean.max(axis=0), -moments.mean.min(axis=0))
     largest = float(np.max(np.abs(minimum.values[:n]) * commanded))

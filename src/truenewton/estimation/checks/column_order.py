@@ -71,8 +71,18 @@ def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[Finding, .
     code, detail = (
         (Code.EXCHANGED_COLUMNS, "FORCE or POSITION") if few else (Code.ORDER_OF_POSITION, "")
     )
-    return (about_actuators(campaign.layout, code, moved, where, many="columns", detail=detail,
-                            size=before, remedy=ORDER_OF_BOTH),)  # fmt: skip
+    return (
+        about_actuators(
+            campaign.layout,
+            code,
+            moved,
+            where,
+            many="columns",
+            detail=detail,
+            size=before,
+            remedy=ORDER_OF_BOTH,
+        ),
+    )
 
 
 def stiffness_of_shapes(moments: Moments) -> Array | None:
@@ -135,28 +145,40 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]
     places = problem.a.copy()
     for i, place in elsewhere.items():
         places[1:, i] = place
-    far = np.hypot(*(places - problem.a)[1:])
     if elsewhere and _fit_at(problem, moments, places)[1] <= MAX_CHI2_RATIO * chi2:
         return tuple(
-            about_actuators(layout, Code.MISPLACED_ACTUATOR, [i],
-                            f"{{}}, about x = {x:.3g}, y = {y:.3g} m",
-                            probability=probability, size=float(far[i]), unit="m")
+            about_actuators(
+                layout,
+                Code.MISPLACED_ACTUATOR,
+                [i],
+                f"{{}}, about x = {x:.3g}, y = {y:.3g} m",
+                probability=probability,
+                size=float(np.hypot(x - problem.a[1, i], y - problem.a[2, i])),
+                unit="m",
+            )
             for i, (x, y) in elsewhere.items()
-        )  # fmt: skip
+        )
     for order in seen_orders(problem, seen):
-        moved = np.flatnonzero(order != np.arange(problem.n))
+        moved, places = np.flatnonzero(order != np.arange(problem.n)), problem.a[:, order]
         if not moved.size:
             continue
-        places = problem.a[:, order]
         there = _fit_at(problem, moments, places)
         if there[1] < MAX_CHI2_RATIO * chi2 if unknown else there[0] > MIN_FIT_PROBABILITY:
-            few, far = moved.size <= MAX_NAMED_ACTUATORS, np.hypot(*(places - problem.a)[1:])
-            code = Code.EXCHANGED_COLUMNS if few else Code.OTHER_ORDER
             remedy = "command one of them alone: if another responds, exchange the cables and"
             remedy += " measure again; otherwise exchange the columns of FORCE"
-            return (about_actuators(layout, code, moved, many="columns", detail="FORCE",
-                                    probability=probability, size=float(far.max()), unit="m",
-                                    remedy=remedy),)  # fmt: skip
+            few = moved.size <= MAX_NAMED_ACTUATORS
+            found = about_actuators(
+                layout,
+                Code.EXCHANGED_COLUMNS if few else Code.OTHER_ORDER,
+                moved,
+                many="columns",
+                detail="FORCE",
+                probability=probability,
+                size=float(np.hypot(*(places - problem.a)[1:]).max()),
+                unit="m",
+                remedy=remedy,
+            )
+            return (found,)
     return ()
 
 

@@ -124,11 +124,11 @@ def constant_actuators(campaign: Campaign, moments: Moments, noise: Noise) -> tu
         limit = float(f_isf(FALSE_ALARM / n, freedom, moments.repeats or 1e9))
         constant = (ratio <= limit) & (np.median(ratio) > MIN_VARIANCE_RATIO * limit)
     at_zero = statics < 5.0 * change * np.sqrt(loads / moments.groups)
-    return tuple(
-        about_actuators(campaign.layout, Code.DEAD_NO_FORCE if at_zero[i] else Code.STUCK_READING,
-                        [i], size=float(change[i]), unit="N")
-        for i in np.flatnonzero(constant)
-    )  # fmt: skip
+    found = []
+    for i in np.flatnonzero(constant):
+        code, size = Code.DEAD_NO_FORCE if at_zero[i] else Code.STUCK_READING, float(change[i])
+        found.append(about_actuators(campaign.layout, code, [i], size=size, unit="N"))
+    return tuple(found)
 
 
 def _refuse_stuck(campaign: Campaign, stuck: NDArray[np.bool_]) -> None:

@@ -45,6 +45,21 @@ def _fact(level: Level | None, sentence: str, remedy: str = "") -> Entry:
     return Entry("", Concern.RESULT, level, sentence, remedy)
 
 
+def _of_input(name: str, remedy: str = "") -> Entry:
+    """Return the entry of a file, column or matrix that is not what it claims to be."""
+    return Entry(name, Concern.FILES, Level.REJECTED, remedy=remedy)
+
+
+def _of_rows(name: str, remedy: str) -> Entry:
+    """Return the entry of rows that are not what they claim to be."""
+    return Entry(name, Concern.ROWS, remedy=remedy)
+
+
+def _of_silent(name: str, remedy: str) -> Entry:
+    """Return the entry of an actuator without force, or whose reading does not change."""
+    return Entry(name, Concern.SILENT, Level.USABLE, remedy=remedy)
+
+
 _MORE_SIGNAL = "repeat more often, use larger forces, or add shapes"
 _GIVE_MIRROR = (
     "name the mirror (--mirror) unless you did, and check the positions and order of the sensors"
@@ -53,10 +68,10 @@ _CHECK_WEIGHT = (
     "check WEIGHT and its unit, N (kilograms times -9.81), and those of FORCE; B is wrong by as"
     " much, and alpha too where a load is tilted"
 )
-
 _DISABLE = "set ENABLED to F if it exerts no force"
 _IN_ORDER = "put the columns of {detail} in that file in the order of ACTUATORS, or leave it out"
 ORDER_OF_BOTH = "put the columns of FORCE and POSITION in the order of the ACTUATORS table"
+_FROZEN_ROWS = "leave the file out, or mark the rows that repeat the one before as not VALID"
 _LABELS = "correct SHAPE and SIGN of the file, or leave it out"
 
 ENTRIES: dict[Code, Entry] = {
@@ -83,24 +98,11 @@ ENTRIES: dict[Code, Entry] = {
     Code.UNKNOWN_FORCE: Entry("unknown force"),
     Code.CORRELATED_NOISE: Entry("correlated noise"),
     Code.TEMPERATURE_BETWEEN_LOADS: Entry("temperature between the loads", level=Level.USABLE),
-    Code.DEAD_NO_FORCE: Entry(
-        "dead actuator, no force is commanded",
-        Concern.SILENT,
-        Level.USABLE,
-        remedy="look at its coil, driver and cable; " + _DISABLE,
+    Code.DEAD_NO_FORCE: _of_silent(
+        "dead actuator, no force is commanded", f"look at its coil, driver and cable; {_DISABLE}"
     ),
-    Code.DEAD_ALPHA_ZERO: Entry(
-        "dead actuator, alpha is 0",
-        Concern.SILENT,
-        Level.USABLE,
-        remedy="look at its coil and magnet",
-    ),
-    Code.STUCK_READING: Entry(
-        "stuck reading",
-        Concern.SILENT,
-        Level.USABLE,
-        remedy="have its electronics looked at; " + _DISABLE,
-    ),
+    Code.DEAD_ALPHA_ZERO: _of_silent("dead actuator, alpha is 0", "look at its coil and magnet"),
+    Code.STUCK_READING: _of_silent("stuck reading", f"have its electronics looked at; {_DISABLE}"),
     Code.NEGATIVE_ALPHA: Entry(
         "alpha is negative, the poles are exchanged",
         level=Level.USABLE,
@@ -113,105 +115,59 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.ACTUATOR_OFF: Entry("actuator is off", cured="left out"),
     Code.ACTUATOR_MISFIT: Entry("actuator does not fit", cured="left out"),
-    Code.COPIED_FILE: Entry(
-        "copy of another file",
-        Concern.FILES,
-        Level.REJECTED,
-        remedy="restore the original of the copy, or remove it",
+    Code.COPIED_FILE: _of_input(
+        "copy of another file", "restore the original of the copy, or remove it"
     ),
-    Code.OTHER_UNIT: Entry(
-        "{} in another unit",
-        Concern.FILES,
-        Level.REJECTED,
-        remedy="correct the unit of {detail} in that file",
-    ),
-    Code.OTHER_SIGN: Entry(
+    Code.OTHER_UNIT: _of_input("{} in another unit", "correct the unit of {detail} in that file"),
+    Code.OTHER_SIGN: _of_input(
         "{} of the other sign",
-        Concern.FILES,
-        Level.REJECTED,
-        remedy="turn the sign of {detail} in that file, or leave it out; look at the plug, and at"
+        "turn the sign of {detail} in that file, or leave it out; look at the plug, and at"
         " the order of SHAPE and SIGN",
     ),
-    Code.OTHER_LOAD: Entry(
-        "wrong LOAD of a file",
-        Concern.FILES,
-        Level.REJECTED,
-        remedy="correct LOAD of the file, or remove the file",
-    ),
+    Code.OTHER_LOAD: _of_input("wrong LOAD of a file", "correct LOAD of the file, or remove it"),
     Code.LOAD_OF_TWO_NAMES: Entry("one load under two names", level=Level.USABLE),
-    Code.EXCHANGED_COLUMNS: Entry(
-        "exchanged columns of {}", Concern.FILES, Level.REJECTED, remedy=_IN_ORDER
-    ),
-    Code.OTHER_ORDER: Entry("another order of {}", Concern.FILES, Level.REJECTED, remedy=_IN_ORDER),
-    Code.ORDER_OF_POSITION: Entry(
-        "order of FORCE is not that of POSITION",
-        Concern.FILES,
-        Level.REJECTED,
-        remedy=ORDER_OF_BOTH,
-    ),
-    Code.MISPLACED_ACTUATOR: Entry(
+    Code.EXCHANGED_COLUMNS: _of_input("exchanged columns of {}", _IN_ORDER),
+    Code.OTHER_ORDER: _of_input("another order of {}", _IN_ORDER),
+    Code.ORDER_OF_POSITION: _of_input("order of FORCE is not that of POSITION", ORDER_OF_BOTH),
+    Code.MISPLACED_ACTUATOR: _of_input(
         "actuator stands elsewhere than at its X and Y",
-        Concern.FILES,
-        Level.REJECTED,
-        remedy="correct X and Y in that row of ACTUATORS, in m",
+        "correct X and Y in that row of ACTUATORS, in m",
     ),
-    Code.TWO_MIRRORS: Entry(
+    Code.TWO_MIRRORS: _of_input(
         "files of two mirrors, campaigns or lists of shapes",
-        Concern.FILES,
-        Level.REJECTED,
-        remedy="calibrate together what was taken of one mirror with the same shapes, and"
-        " no actuator replaced in between; or mark rows as not VALID in which the"
-        " load was not on",
+        "calibrate together what was taken of one mirror with the same shapes, and no actuator"
+        " replaced in between; or mark rows as not VALID in which the load was not on",
     ),
-    Code.CONSTANT_POSITION: Entry(
+    Code.CONSTANT_POSITION: _of_input(
         "POSITION is the same in all rows",
-        Concern.FILES,
-        Level.REJECTED,
-        remedy="leave the column out where no sensors were read; then COILGRAD, BIASGRAD"
-        " are not used",
+        "leave the column out where no sensors were read; then COILGRAD, BIASGRAD are not used",
     ),
-    Code.UNUSABLE_CALIBRATION: Entry(
-        "earlier calibration that was rejected", Concern.FILES, Level.REJECTED
+    Code.UNUSABLE_CALIBRATION: _of_input("earlier calibration that was rejected"),
+    Code.SIGN_REVERSED: _of_rows("SIGN reversed", _LABELS),
+    Code.SHAPE_OFFSET: _of_rows("SHAPE counted from another one", _LABELS),
+    Code.OTHER_LABELS: _of_rows("SHAPE and SIGN label other rows", _LABELS),
+    Code.FROZEN_READING: _of_rows(
+        "frozen reading", f"{_FROZEN_ROWS}; have its electronics looked at"
     ),
-    Code.SIGN_REVERSED: Entry("SIGN reversed", Concern.ROWS, remedy=_LABELS),
-    Code.SHAPE_OFFSET: Entry("SHAPE counted from another one", Concern.ROWS, remedy=_LABELS),
-    Code.OTHER_LABELS: Entry("SHAPE and SIGN label other rows", Concern.ROWS, remedy=_LABELS),
-    Code.FROZEN_READING: Entry(
-        "frozen reading",
-        Concern.ROWS,
-        remedy="leave the file out, or mark the rows in which it stands still as not"
-        " VALID; have its electronics looked at",
-    ),
-    Code.FROZEN_READINGS: Entry(
-        "frozen readings",
-        Concern.ROWS,
-        remedy="leave the file out, or mark the rows that repeat the one before as not VALID",
-    ),
-    Code.CLIPPED_READINGS: Entry(
+    Code.FROZEN_READINGS: _of_rows("frozen readings", _FROZEN_ROWS),
+    Code.CLIPPED_READINGS: _of_rows(
         "readings cut off at a limit",
-        Concern.ROWS,
-        remedy="use smaller shapes, or mark the rows that reach the limit as not VALID",
+        "use smaller shapes, or mark the rows that reach the limit as not VALID",
     ),
-    Code.ASYMMETRIC_STIFFNESS: Entry("asymmetric stiffness", Concern.FILES, Level.REJECTED),
+    Code.ASYMMETRIC_STIFFNESS: _of_input("asymmetric stiffness"),
     Code.NEGATIVE_STIFFNESS: Entry("stiffness of the other sign", level=Level.USABLE),
-    Code.DISORDERED_STIFFNESS: Entry(
-        "coordinates in another order than STIFFNESS", Concern.FILES, Level.REJECTED
+    Code.DISORDERED_STIFFNESS: _of_input("coordinates in another order than STIFFNESS"),
+    Code.INCOMPLETE_STIFFNESS: _of_input("forces missing in STIFFNESS"),
+    Code.SYMMETRISED_STIFFNESS: _of_input(
+        "STIFFNESS is symmetric, as if averaged with its transpose"
     ),
-    Code.INCOMPLETE_STIFFNESS: Entry("forces missing in STIFFNESS", Concern.FILES, Level.REJECTED),
-    Code.SYMMETRISED_STIFFNESS: Entry(
-        "STIFFNESS is symmetric, as if averaged with its transpose", Concern.FILES, Level.REJECTED
+    Code.TRANSPOSED_STIFFNESS: _of_input("transposed stiffness"),
+    Code.CLEANED_STIFFNESS: _of_input(
+        "STIFFNESS already balanced as commanded: alpha is gone (cleaned of rigid motions?)"
     ),
-    Code.TRANSPOSED_STIFFNESS: Entry("transposed stiffness", Concern.FILES, Level.REJECTED),
-    Code.CLEANED_STIFFNESS: Entry(
-        "STIFFNESS already balanced as commanded: alpha is gone (cleaned of rigid motions?)",
-        Concern.FILES,
-        Level.REJECTED,
-    ),
-    Code.TRUE_STIFFNESS: Entry(
+    Code.TRUE_STIFFNESS: _of_input(
         "STIFFNESS symmetric and balanced as commanded: a true one, or alpha is gone (cleaned of"
-        " rigid motions?)",
-        Concern.FILES,
-        Level.REJECTED,
+        " rigid motions?)"
     ),
     Code.WEAK_PATTERNS: _fact(
         Level.USABLE,

@@ -105,5 +105,7 @@ def frozen_sensors(campaign: Campaign) -> Iterator[Finding]:
         else:
             where += f" of {named_files(campaign, np.flatnonzero(files))}"
         which = (files == still.T).all(axis=1)
-        yield about_actuators(campaign.layout, Code.FROZEN_SENSOR, which, where,
-                              size=float(np.mean(files)), remedy=remedy)  # fmt: skip
+        size = float(np.mean(files))
+        yield about_actuators(
+            campaign.layout, Code.FROZEN_SENSOR, which, where, size=size, remedy=remedy
+        )

@@ -128,9 +128,15 @@ def _said(campaign: Campaign, what: Difference, files: tuple[int, ...], columns:
         where += f", {what.times} times the others"
     if what.columns:
         where = f"{{}} in {where}"
-    which = list(what.columns)
-    return about_actuators(campaign.layout, what.code, which, where, many="actuators",
-                           detail=columns, size=len(files) / count)  # fmt: skip
+    return about_actuators(
+        campaign.layout,
+        what.code,
+        list(what.columns),
+        where,
+        many="actuators",
+        detail=columns,
+        size=len(files) / count,
+    )
 
 
 def _positions(campaign: Campaign) -> Array | None:
@@ -218,23 +224,15 @@ def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding,
     rows = [cycle.used_force - cycle.used_force[cycle.paired_rows].mean(axis=0)
             for cycle in campaign.cycles]  # fmt: skip
     labels = [cycle.shape[cycle.valid] * cycle.sign[cycle.valid] for cycle in campaign.cycles]
-    codes = {
-        k: _other_labels(
-            rows[k], labels[k],
-            np.concatenate(rows[:k] + rows[k + 1 :]), np.concatenate(labels[:k] + labels[k + 1 :]),
-        )
-        for k in files
-    }  # fmt: skip
-    return tuple(
-        Finding(
-            code=code,
-            where=campaign.cycles[k].name,
-            size=float(np.sqrt(np.mean(rows[k] ** 2))),
-            unit="N",
-        )
-        for k, code in codes.items()
-        if code is not None
-    )
+    found = []
+    for k in files:
+        others = np.concatenate(rows[:k] + rows[k + 1 :])
+        other_labels = np.concatenate(labels[:k] + labels[k + 1 :])
+        code = _other_labels(rows[k], labels[k], others, other_labels)
+        if code is not None:
+            where, size = campaign.cycles[k].name, float(np.sqrt(np.mean(rows[k] ** 2)))
+            found.append(Finding(code=code, where=where, size=size, unit="N"))
+    return tuple(found)
 
 
 def _other_labels(

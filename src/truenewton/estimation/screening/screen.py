@@ -117,11 +117,9 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
     refusal: TooManyOutliers | None = None
     try:
         sums, sound, rejected = _left_out(sums, campaign, accidents=True)
-        rows = len(rejected) + int(sums.moments.rows.sum())
-        if len(rejected) > MAX_REJECTED_FRACTION * rows:
-            refusal = _too_many(len(rejected), rows)
-        accidents = not rejected or (refusal is None and _tails(sums) <= LONG_TAIL_RATIO)
-    except TooManyOutliers as error:  # of one cycle: it differs as a whole
+        refuse_too_many(len(rejected), len(rejected) + int(sums.moments.rows.sum()))
+        accidents = not rejected or _tails(sums) <= LONG_TAIL_RATIO
+    except TooManyOutliers as error:  # if of one cycle, it differs as a whole
         accidents, refusal = False, error
     if not accidents:
         try:
@@ -131,8 +129,7 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
             if refusal is not None and _gross(sums):
                 raise refusal
         except TooManyOutliers as error:
-            every = range(len(campaign.cycles))
-            suspects += () if apart else _relabelled(campaign, prints, every)
+            suspects += () if apart else _relabelled(campaign, prints, range(len(campaign)))
             raise naming(error, suspects + clipped) from None
     suspects += () if apart else _relabelled(campaign, prints, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
@@ -300,14 +297,10 @@ def _robust(samples: Sequence[Array]) -> Array:
 def refuse_too_many(rejected: int, rows: int) -> None:
     """Refuse a campaign that has lost more rows than can be explained by accidents."""
     if rejected > MAX_REJECTED_FRACTION * rows:
-        raise _too_many(rejected, rows)
-
-
-def _too_many(rejected: int, rows: int) -> TooManyOutliers:
-    return TooManyOutliers(
-        f"{rejected} of {rows} rows do not fit their repeats or the balance",
-        remedy="look whether SHAPE and SIGN are those that were applied, and at what happened"
-        " during the run; or mark the bad rows as not VALID",
-        got=rejected / rows,
-        want=MAX_REJECTED_FRACTION,
-    )
+        raise TooManyOutliers(
+            f"{rejected} of {rows} rows do not fit their repeats or the balance",
+            remedy="look whether SHAPE and SIGN are those that were applied, and at what happened"
+            " during the run; or mark the bad rows as not VALID",
+            got=rejected / rows,
+            want=MAX_REJECTED_FRACTION,
+        )
