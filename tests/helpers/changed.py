@@ -10,6 +10,7 @@ import pytest
 
 import truenewton as tn
 from helpers.balanced import p45_bench
+from truenewton.arrays import jsonable
 from truenewton.bench.simulated.static import run_cycles
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
 from truenewton.records.campaign import Campaign
@@ -69,7 +70,7 @@ def check_alike(inside, path, *options):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         made = tn.calibrate(tn.read(path), **python)
-    assert made.verdict.values == verdict
+    assert jsonable(made.verdict.as_values) == verdict
     if verdict["level"] == "rejected":
         assert code == 2
         assert f"rejected: {fault}; {remedy}" in error

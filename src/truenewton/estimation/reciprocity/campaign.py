@@ -65,7 +65,7 @@ def find(
     screened
         Cycles with POSITION, under two loads at least.
     motion
-        (n, n) or (6, n, n) what a model of the glass tells of the sensors (`sensor_model.places_of`).
+        (n, n) or (6, n, n) what a model of the glass tells of the sensors (`places_of`).
     where_it_holds
         Where reciprocity does not hold, return the estimate by `ml`, which says why.
 

@@ -108,7 +108,7 @@ def modes_of(
     layout, facts
         Of a matrix of commanded force per reading.
     motion
-        (n, n) or (6, n, n) what a model of the glass tells of the sensors (`sensor_model.places_of`).
+        (n, n) or (6, n, n) what a model of the glass tells of the sensors (`places_of`).
     keep
         (n,) which actuators count; the others are free. All unless given.
     """
