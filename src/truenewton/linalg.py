@@ -30,7 +30,9 @@ def thread_count() -> int:
     """Return how many threads BLAS may use, by the number of cores and the environment."""
     import threadpoolctl  # not at each start
 
-    return int(max(each["num_threads"] for each in threadpoolctl.threadpool_info()))
+    pools = threadpoolctl.threadpool_info()  # none where BLAS is of a kind that it does not know
+    blas = (each["num_threads"] for each in pools if each["user_api"] == "blas")
+    return int(max(blas, default=1))
 
 
 @contextlib.contextmanager

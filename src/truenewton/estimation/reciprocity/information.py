@@ -94,6 +94,7 @@ def likeliest(states: States, left: Residuals, weights: Weights) -> Likeliest:
     return Likeliest(forces, states.dual @ work.T)
 
 
+MAX_THREADS = 4  # each has memory of its own, some tens of megabytes
 INFORMATION_ROWS = 32  # of actuators at once, so that what is made of them stays in the cache
 
 
@@ -166,7 +167,7 @@ def score(point: Point) -> Array:
     parts = []
     pulled = dict[int, Array]()
     if symmetric:
-        pull = (weights.of_pairs * left.reciprocity).astype(left.work.dtype)
+        pull = (weights.of_pairs * left.reciprocity).astype(left.work.dtype, copy=False)
         pulled = {id(design.q): pull @ design.q for design in point.designs.values()}
     for kind, design in point.designs.items():
         part = np.zeros(design.p.shape[1])
@@ -222,16 +223,18 @@ def information(
     blocks = range(0, n if point.weights.reciprocity.any() else 0, INFORMATION_ROWS)
 
     def add(starts: range) -> list[Array]:
-        room = np.empty(
-            (4 + 4 * len(kinds), bins, INFORMATION_ROWS * n), total.dtype
-        )  # made once: it is slow
-        blocks = (slice(start, start + INFORMATION_ROWS) for start in starts)
-        return [_add_reciprocity(total, point, some, before, room) for some in blocks]
+        # Memory is slow to come by: each thread has its own, once.
+        room = np.empty((4 + 4 * len(kinds), bins, INFORMATION_ROWS * n), total.dtype)
+        some = (slice(start, start + INFORMATION_ROWS) for start in starts)
+        return [_add_reciprocity(total, point, rows, before, room) for rows in some]
 
-    count = thread_count()
-    with ThreadPoolExecutor(count) as pool:
-        for each in pool.map(add, (blocks[k::count] for k in range(count))):
-            taken.reciprocity[:] += sum(each)
+    if blocks:
+        count = min(thread_count(), MAX_THREADS, len(blocks))
+        parts = np.empty((len(blocks), bins, bins))  # summed in one order, whoever made them
+        with ThreadPoolExecutor(count) as pool:
+            for k, each in enumerate(pool.map(add, (blocks[k::count] for k in range(count)))):
+                parts[k::count] = each
+        taken.reciprocity[:] = parts.sum(axis=0)
     _add_statics(total, point, before, taken)
     _add_rigid(total, point, before, taken)
     for k in range(1, len(kinds)):
