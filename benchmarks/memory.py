@@ -58,7 +58,7 @@ def calibrate(folder: Path) -> None:
     from truenewton.calibration import methods
     from truenewton.cli.main import main as command
     from truenewton.estimation import campaign_ml, problem
-    from truenewton.estimation.paper import cycle_errors
+    from truenewton.estimation.paper import svd
 
     for name, module, function in (
         ("tn.read: checksums, SHA256, checks", truenewton.reading, "read_data"),
@@ -66,7 +66,7 @@ def calibrate(folder: Path) -> None:
         ("  a minimisation", problem, "minimise"),
         ("shapes against the balance", campaign_ml, "balancing_groups"),
         ("maximum likelihood, all of it", campaign_ml, "find"),
-        ("E_CYCLE", cycle_errors, "read_rows"),
+        ("E_CYCLE", svd, "read_rows"),
         ("calibrate, all of it", methods, "calibrate"),
         ("writing the calibration", truenewton.calibration.result.Calibration, "write"),
     ):

@@ -37,9 +37,9 @@ from scipy.linalg.lapack import dpotri
 import truenewton as tn
 from truenewton.estimation import campaign_ml, problem
 from truenewton.estimation.effects.examination import ExaminedFit
-from truenewton.estimation.paper import cycle_errors
-from truenewton.estimation.paper.cycle_errors import CycleErrors
+from truenewton.estimation.paper import svd
 from truenewton.estimation.paper.equations import system_e
+from truenewton.estimation.paper.svd import CycleErrors
 from truenewton.estimation.readings.row_readers import read_rows
 from truenewton.linalg import ROWS_AT_ONCE, mirrored
 from truenewton.statics.arms import arms, enabled_arms
@@ -122,7 +122,7 @@ def replaced(module: Any, name: str, value: Any) -> Iterator[None]:
 
 def without_cycle_errors(campaign: tn.Campaign) -> tn.Calibration:
     """Calibrate, but for E_CYCLE: the rows are not read for it."""
-    with replaced(cycle_errors, "read_rows", lambda *_: None):
+    with replaced(svd, "read_rows", lambda *_: None):
         return tn.calibrate(campaign)
 
 

@@ -23,7 +23,7 @@ import scipy.linalg
 import truenewton as tn
 from truenewton.bench.simulated.static import START, StaticBench, static_bench
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation.findings.scale_budget import weight_errors
+from truenewton.estimation.findings.estimate import weight_errors
 from truenewton.estimation.paper import svd as paper_svd
 from truenewton.estimation.paper.equations import Unknowns, system_e
 from truenewton.mirrors.glass import Annulus, Shell

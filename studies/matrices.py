@@ -26,7 +26,7 @@ import numpy as np
 
 import truenewton as tn
 from truenewton.bench.simulated.static import static_bench
-from truenewton.calibration.methods import METHODS, Known
+from truenewton.calibration.methods import METHODS, Options
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.ml import column_fit
@@ -128,7 +128,7 @@ def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
             fit = column_fit(columns_of(screened), population=population)
             found, covariance, by_ml = fit.alpha, fit.covariance, True
         else:
-            estimate, _ = METHODS[method].of_stiffness(screened, Known())
+            estimate, _ = METHODS[method].of_stiffness(screened, Options())
             found, covariance = estimate.values, estimate.reading_covariance
             by_ml, sensors = estimate.method == "ml", estimate.sensors
     except TrueNewtonError:

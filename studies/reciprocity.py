@@ -131,7 +131,7 @@ def campaigns(seeds, bounds, noise, loop):
             alpha = alpha * (1 + bench.coils.coil_gradient * rest_displacement(bench).mean(axis=0))
         screened = screen_campaign(campaign)
         for name, estimate in (
-            ("ml", campaign_ml.find(screened)),
+            ("ml", campaign_ml.fit_campaign(screened)),
             ("reciprocity, glass known", reciprocity_of_campaign.find(screened, motion)),
             ("reciprocity", reciprocity_of_campaign.find(screened)),
         ):

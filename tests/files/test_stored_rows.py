@@ -17,8 +17,8 @@ from helpers.comparison import same
 from truenewton import reading
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import UnreadableFile
-from truenewton.estimation.paper.cycle_errors import CycleErrors, from_rows
 from truenewton.estimation.paper.equations import system_c
+from truenewton.estimation.paper.svd import CycleErrors, from_rows
 from truenewton.estimation.readings import repeats
 from truenewton.estimation.readings.row_readers import read_rows
 from truenewton.estimation.screening.screen import screen_campaign

@@ -23,7 +23,7 @@ from truenewton.acquisition.plan import (
 from truenewton.acquisition.shapes import model_glass, shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient
-from truenewton.estimation.findings.scale_budget import FROM_READINGS, tilt_as_load, typical
+from truenewton.estimation.findings.estimate import FROM_READINGS, tilt_as_load, typical
 from truenewton.estimation.reciprocity.sensor_model import places_of
 from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
 from truenewton.estimation.screening.screen import campaign_moments

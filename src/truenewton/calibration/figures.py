@@ -12,8 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from truenewton.arrays import Array
-from truenewton.estimation.findings.estimate import Scale
-from truenewton.estimation.findings.scale_budget import typical
+from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.figures.maps import (
     ALPHA_LABEL,
     mark_rings,

@@ -7,20 +7,12 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread
-from truenewton.calibration.numbers import (
-    Imbalances,
-    common,
-    disabled,
-    from_stiffness,
-    matrix_source,
-    require_known,
-    without,
-)
+from truenewton.arrays import Array, spread, spread_covariance
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.calibration.workers import executor_for
@@ -35,16 +27,17 @@ from truenewton.errors import (
 )
 from truenewton.estimation import campaign_ml
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import Diagnosis, Estimate, with_warnings
+from truenewton.estimation.findings.estimate import Diagnosis, Estimate, typical, with_warnings
 from truenewton.estimation.findings.finding import Finding, distinct
-from truenewton.estimation.findings.scale_budget import typical
 from truenewton.estimation.matrix import ml as matrix_ml
 from truenewton.estimation.matrix import modes as matrix_modes
+from truenewton.estimation.matrix.coherent_imbalance import doubts_of_balance
+from truenewton.estimation.matrix.facts import MatrixFacts, doubts_of, symmetry_of
 from truenewton.estimation.matrix.screen import ScreenedMatrix, screen_matrix
 from truenewton.estimation.paper import svd as paper_svd
-from truenewton.estimation.paper.cycle_errors import CycleErrors
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.estimation.paper.identifiability import diagnose
+from truenewton.estimation.paper.svd import CycleErrors
 from truenewton.estimation.readings.row_readers import RowReader
 from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
@@ -55,6 +48,7 @@ from truenewton.estimation.screening.screen import (
     campaign_moments,
     screen_campaign,
 )
+from truenewton.files.format import attributes
 from truenewton.linalg import threads
 from truenewton.progress import kept_as, tell
 from truenewton.records.campaign import Campaign, mean_temperature
@@ -62,15 +56,15 @@ from truenewton.records.parts import Parts, has_parts
 from truenewton.records.segmented import SegmentedData, segment_couplings
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import percent
+from truenewton.rounding import named, percent
 from truenewton.statics.layout import Layout
 
 Data = Campaign | StiffnessMatrix | SegmentedData
 Seen = Array | Mapping[int, Array]  # by sensors: by those of all segments, or of each by its number
 
 
-class Known(NamedTuple):
-    """What is known beside the data, as `calibrate` takes it."""
+class Options(NamedTuple):
+    """Options of `calibrate` that some methods use."""
 
     population: bool = False
     motion: Array | None = None
@@ -79,16 +73,16 @@ class Known(NamedTuple):
 class Method(NamedTuple):
     """A method: of a screened campaign to its estimate; of a stiffness, with what modes leave."""
 
-    of_cycles: Callable[[ScreenedCampaign, Known], Estimate]
-    of_stiffness: Callable[[ScreenedMatrix, Known], tuple[Estimate, Imbalances]]
+    of_cycles: Callable[[ScreenedCampaign, Options], Estimate]
+    of_stiffness: Callable[[ScreenedMatrix, Options], tuple[Estimate, Imbalances]]
 
 
-def _svd_of_cycles(screened: ScreenedCampaign, _: Known) -> Estimate:
+def _svd_of_cycles(screened: ScreenedCampaign, _: Options) -> Estimate:
     """Solve the paper's system, of all rows; what the data are worth `ml` says, as for itself."""
-    judged = campaign_ml.find(screened)
+    judged = campaign_ml.fit_campaign(screened)
     campaign = screened.campaign
     moments = campaign_moments(campaign) if screened.rejected else screened.moments
-    found = paper_svd.find(campaign, moments)
+    found = paper_svd.solve_campaign(campaign, moments)
     effects = tuple(replace(effect, corrected=False) for effect in judged.effects)
     warnings = distinct((*found.diagnosis.warnings, *judged.diagnosis.warnings))
     if judged.rejected:
@@ -117,15 +111,17 @@ def _with_imbalances(
         return with_warnings(estimate, (alone,)), ()
 
 
-def _reciprocal(screened: ScreenedMatrix, known: Known) -> tuple[Estimate, Imbalances]:
+def _reciprocal(screened: ScreenedMatrix, options: Options) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity, and what speaks against it."""
     base = matrix_modes.find(screened, matrix_ml.column_fit)
     with advising_ml():
-        estimate, of_modes, against = reciprocity_of_matrix.find(screened, base, known.motion)
+        estimate, of_modes, against = reciprocity_of_matrix.find(screened, base, options.motion)
     return with_warnings(estimate, doubts(against)), of_modes
 
 
-def _where_reciprocity_holds(screened: ScreenedMatrix, known: Known) -> tuple[Estimate, Imbalances]:
+def _where_reciprocity_holds(
+    screened: ScreenedMatrix, options: Options
+) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity, or that of `ml` with the reason.
 
     That of `ml` comes first, for whoever does not want to wait.
@@ -139,7 +135,7 @@ def _where_reciprocity_holds(screened: ScreenedMatrix, known: Known) -> tuple[Es
     tell(_in_short(base), keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
     try:
         estimate, of_modes, against = reciprocity_of_matrix.find(
-            screened, base, known.motion, where_it_holds=True
+            screened, base, options.motion, where_it_holds=True
         )
         if not against:
             return estimate, of_modes
@@ -160,20 +156,21 @@ def _in_short(base: Estimate) -> str:
 
 METHODS = {
     "ml": Method(
-        lambda screened, known: campaign_ml.find(screened, known.population),
-        lambda screened, known: _by_balance(
-            screened, partial(matrix_ml.column_fit, population=known.population)
+        lambda screened, options: campaign_ml.fit_campaign(screened, options.population),
+        lambda screened, options: _by_balance(
+            screened, partial(matrix_ml.column_fit, population=options.population)
         ),
     ),
     "svd": Method(
         _svd_of_cycles, lambda screened, _: _by_balance(screened, matrix_modes.singular_fit)
     ),
     "reciprocity": Method(
-        lambda screened, known: reciprocity_of_campaign.find(screened, known.motion), _reciprocal
+        lambda screened, options: reciprocity_of_campaign.find(screened, options.motion),
+        _reciprocal,
     ),
     "auto": Method(
-        lambda screened, known: reciprocity_of_campaign.find(
-            screened, known.motion, where_it_holds=True
+        lambda screened, options: reciprocity_of_campaign.find(
+            screened, options.motion, where_it_holds=True
         ),
         _where_reciprocity_holds,
     ),
@@ -253,7 +250,7 @@ def calibrate(
             f"cannot calibrate a {type(data).__name__}; give a Campaign, StiffnessMatrix or"
             " SegmentedData"
         )
-    method, known = asked(data, method, population=population, motion=motion)
+    method, options = resolve_method(data, method, population=population, motion=motion)
     ids = sorted(set(exclude))
     require_known(data.layout, ids)
     if has_parts(data):
@@ -263,16 +260,16 @@ def calibrate(
         return of_all
     left = disabled(data, ids)
     if isinstance(left, Campaign):
-        estimate = METHODS[method].of_cycles(screen_campaign(left, client), known)
+        estimate = METHODS[method].of_cycles(screen_campaign(left, client), options)
         made = without(calibration_of(left, estimate, client=client), ids)
     else:
-        made = _of_matrix(left, method, known, ids)
+        made = _of_matrix(left, method, options, ids)
     warn_of(made)
     return made
 
 
 def _of_matrix(
-    matrix: StiffnessMatrix, method: str, known: Known, excluded: Sequence[int]
+    matrix: StiffnessMatrix, method: str, options: Options, excluded: Sequence[int]
 ) -> Calibration:
     """Calibrate; what is found before the end can be kept as a calibration, too."""
 
@@ -282,7 +279,7 @@ def _of_matrix(
     try:
         with threads(1), kept_as(made_of):
             screened = screen_matrix(matrix)
-            found = METHODS[method].of_stiffness(screened, known)
+            found = METHODS[method].of_stiffness(screened, options)
     except (RankDeficient, NotConverged) as error:
         raise located(error, matrix.source and Path(matrix.source.file).name) from None
     return made_of(found)
@@ -321,13 +318,13 @@ def seen_of(motion: Seen | None, layout: Layout, number: int) -> Array | None:
     return np.asarray(motion[..., own, :][..., own])
 
 
-def asked(
+def resolve_method(
     data: Data,
     method: str | None,
     *,
     population: bool,
     motion: Seen | None,
-) -> tuple[str, Known]:
+) -> tuple[str, Options]:
     """Return the method that is asked for, as of `calibrate`, and what it is told.
 
     ``motion`` is (6, n, n) or (n, n). Raises UnknownName where there is no such method, or it takes
@@ -360,13 +357,13 @@ def asked(
             got=sorted(motion),
         )
     if isinstance(motion, Mapping):  # for segments, each of which is asked on its own
-        return method, Known(population)
-    return method, Known(population, motion)
+        return method, Options(population)
+    return method, Options(population, motion)
 
 
-def estimate_alpha(screened: ScreenedCampaign, method: str, known: Known) -> Estimate:
+def estimate_alpha(screened: ScreenedCampaign, method: str, options: Options) -> Estimate:
     """Find alpha of a campaign that was screened, as `calibrate` does; 'ml' reads no row."""
-    return METHODS[method].of_cycles(screened, known)
+    return METHODS[method].of_cycles(screened, options)
 
 
 def refusals(error: TrueNewtonError, screened: ScreenedCampaign | None) -> tuple[Fault, ...]:
@@ -420,3 +417,150 @@ def calibration_of(
         unseen=estimate.unseen,
         **common(estimate, on),
     )
+
+
+Imbalances = tuple[matrix_modes.Imbalance, ...]
+
+
+def from_stiffness(
+    screened: ScreenedMatrix, estimate: Estimate, imbalances: Imbalances
+) -> Calibration:
+    """Return an estimate from a stiffness matrix as a calibration."""
+    matrix, facts = screened.matrix, screened.facts
+    on = matrix.layout.enabled
+    n = int(on.sum())
+    alpha, gain = estimate.values[:n], None
+    if estimate.sensors:
+        gain = np.array([each.gain if each.state == "fitted" else 1.0 for each in estimate.sensors])
+    ids, covariance = matrix.layout.id[on], estimate.reading_covariance[:n, :n]
+    of_balance, covariance = doubts_of_balance(facts, alpha, covariance, ids)
+    symmetry = symmetry_of(facts, alpha, gain)
+    of_symmetry = doubts_of(facts.stiffness, alpha, symmetry)
+    estimate = with_warnings(estimate, (*of_symmetry, *of_balance))
+    # B is not to be had from elastic forces.
+    reading, systematic = (
+        np.pad(each, (0, 1), constant_values=np.nan)
+        for each in (covariance, estimate.systematic_covariance)
+    )
+    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
+    return Calibration(
+        instrument=matrix.instrument,
+        date=matrix.date,
+        date_end=matrix.date,
+        layout=matrix.layout,
+        loads=(),
+        cycle_error=np.full(matrix.layout.n, np.nan),
+        bias_force=float("nan"),
+        torque_y=np.empty(0),
+        torque_x=np.empty(0),
+        weight=float("nan"),
+        weight_error=float("nan"),
+        temperature=float("nan"),
+        shapes_used=len(facts.elastic_modes.values),
+        rejected=0,
+        invalid=0,
+        sources=matrix_source(matrix, facts),
+        effects=estimate.effects,
+        imbalances=imbalances,
+        matrix_facts=symmetry,
+        halves=spread(_halves(imbalances, n), on),
+        **common(estimate, on),
+    )
+
+
+def _halves(imbalances: Imbalances, n: int) -> Array:
+    """Return (n,) how far alpha of one half of the modes is above that of the other, relative."""
+    fitted = [line.alpha for line in imbalances[1:] if line.alpha is not None]
+    if [each.size for each in fitted] != [n, n]:
+        return np.full(n, np.nan)
+    one, other = (each / each.mean() for each in fitted)
+    return np.asarray(one - other)
+
+
+def matrix_source(
+    matrix: StiffnessMatrix | None, facts: MatrixFacts | None = None
+) -> tuple[Source, ...]:
+    """Return the file of a matrix, its elastic modes for rows; nothing where it has none."""
+    if matrix is None or matrix.source is None:
+        return ()
+    modes = len((facts or MatrixFacts.of(matrix)).elastic_modes.values)
+    return (replace(matrix.source, file=Path(matrix.source.file).name, rows=modes),)
+
+
+def common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return what is the same for all data, spread over all actuators, (n,)."""
+    n, goodness = int(on.sum()), estimate.goodness
+    reading, systematic = estimate.reading_covariance, estimate.systematic_covariance
+    return {
+        **attributes(estimate, "method", "condition", "solved_condition", "rank", "noise"),
+        **attributes(estimate, "diagnosis", "goodness", "scale_errors", "sensors"),
+        "scale": estimate.scale.value,
+        "alpha": spread(estimate.values[:n], on),
+        "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
+        "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
+        "covariance": spread_covariance(reading + systematic, on),
+        "systematic_covariance": spread_covariance(systematic, on),
+        "degrees_of_freedom": goodness.degrees_of_freedom if goodness else None,
+        "chi2": estimate.declared_chi2,
+    }
+
+
+def require_known(layout: Layout, ids: Collection[int]) -> None:
+    """Refuse IDs that no actuator has.
+
+    Raises
+    ------
+    UnknownName
+    """
+    unknown = sorted(set(ids) - set(layout.id.tolist()))
+    if unknown:
+        raise UnknownName(
+            f"there is no {named('actuator', unknown, 5)} to exclude",
+            remedy=f"IDs run from {layout.id.min()} to {layout.id.max()}",
+            got=unknown,
+        )
+
+
+def disabled(data: Campaign | StiffnessMatrix, ids: Sequence[int]) -> Campaign | StiffnessMatrix:
+    """Return data in which excluded actuators are disabled, as far as the balance allows.
+
+    Those of a matrix are released (`matrix.screen.released`). One of a campaign is disabled if its
+    FORCE never changes; the force of others is part of the balance, and alpha is fitted to it.
+    """
+    if not ids:
+        return data
+    if isinstance(data, StiffnessMatrix):
+        return replace(data, layout=_without(data.layout, np.isin(data.layout.id, ids)))
+    out = np.isin(data.layout.id, ids)
+    for cycle in data.cycles:
+        out &= np.ptp(np.asarray(cycle.force)[np.asarray(cycle.valid)], axis=0) == 0.0
+    if not out.any():
+        return data
+    cycles = tuple(replace(c, layout=_without(c.layout, out)) for c in data.cycles)
+    matrix = data.stiffness
+    if matrix is not None:
+        matrix = replace(matrix, layout=_without(matrix.layout, out))
+    return replace(data, cycles=cycles, stiffness=matrix)
+
+
+def without(calibration: Calibration, ids: Sequence[int]) -> Calibration:
+    """Return a calibration that gives no alpha of some actuators, by their IDs."""
+    layout = calibration.layout
+    out = np.isin(layout.id, ids) & layout.enabled
+    if not out.any():
+        return calibration
+    names = ("alpha", "reading_error", "systematic_error", "cycle_error", "halves")
+    values = {name: getattr(calibration, name) for name in names}
+    changed: dict[str, Any] = {
+        k: np.where(out, np.nan, v) for k, v in values.items() if v is not None
+    }
+    for name in ("covariance", "systematic_covariance"):
+        matrix = np.array(getattr(calibration, name))
+        matrix[: layout.n][out] = np.nan
+        matrix[:, : layout.n][:, out] = np.nan
+        changed[name] = matrix
+    return replace(calibration, layout=_without(layout, out), **changed)
+
+
+def _without(layout: Layout, out: NDArray[np.bool_]) -> Layout:
+    return replace(layout, enabled=layout.enabled & ~out)

@@ -13,9 +13,16 @@ from truenewton.calibration.result import ACTUATORS, CALIBRATIONS, AnyCalibratio
 from truenewton.calibration.verdict import NO_ERROR, rejected_sentence, scale_limit
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.findings.estimate import Diagnosis, NoiseSource, RejectedRow, Scale
+from truenewton.estimation.findings.estimate import (
+    Diagnosis,
+    NoiseSource,
+    RejectedRow,
+    Scale,
+    scale_budget,
+    scale_total,
+    typical,
+)
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
-from truenewton.estimation.findings.scale_budget import scale_budget, scale_total, typical
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.files.format import attributes, columns_by_name
 from truenewton.records.campaign import Campaign

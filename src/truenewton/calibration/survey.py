@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.methods import (
-    Known,
+    Options,
     Seen,
-    asked,
     calibrate,
     calibration_of,
     estimate_alpha,
     refusals,
+    resolve_method,
     seen_of,
 )
 from truenewton.calibration.result import AnyCalibration, Calibration
@@ -76,13 +76,13 @@ def survey(
     # Reciprocity of a matrix would keep people waiting.
     by_balance = isinstance(data, StiffnessMatrix) and method is None and motion is None
     method = "ml" if by_balance else method
-    method, known = asked(data, method, population=population, motion=motion)
+    method, options = resolve_method(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
         holds, what = "campaign", "campaign"
-        facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data, method, known)
+        facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data, method, options)
     else:
         holds, what = "stiffness", "stiffness matrix"
-        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data, method, known)
+        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data, method, options)
     refused = verdict.level == Level.NONE
     disabled = int(np.count_nonzero(~data.layout.enabled))
     values = {
@@ -142,7 +142,7 @@ def _survey_segments(
 
 
 def _survey_campaign(
-    campaign: Campaign, method: str, known: Known
+    campaign: Campaign, method: str, options: Options
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a campaign alone, the first the end of the headline."""
     screened, refusal = None, Verdict(Level.NONE)
@@ -195,7 +195,7 @@ def _survey_campaign(
         return values, lines, Diagnosis(), refusal
     diagnosis = diagnose(screened.sound, screened.moments)
     try:
-        estimate = estimate_alpha(screened, method, known)
+        estimate = estimate_alpha(screened, method, options)
         verdict = calibration_of(campaign, estimate).verdict
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         verdict = no_alpha(refusals(error, screened))
@@ -203,7 +203,7 @@ def _survey_campaign(
 
 
 def _survey_stiffness(
-    matrix: StiffnessMatrix, method: str, known: Known
+    matrix: StiffnessMatrix, method: str, options: Options
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a stiffness matrix alone, the first the end of the headline."""
     facts = MatrixFacts.of(matrix)
@@ -226,7 +226,7 @@ def _survey_stiffness(
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
     try:
-        made = calibrate(matrix, method, **known._asdict())
+        made = calibrate(matrix, method, **options._asdict())
     except (RankDeficient, NotConverged) as error:
         refusal = no_alpha(refusals(error, None))
         return values, lines, Diagnosis(), refusal

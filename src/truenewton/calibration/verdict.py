@@ -18,16 +18,17 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.errors import Fault, NotToBeUsed, TrueNewtonWarning
-from truenewton.estimation.findings.code import Code, Concern, Level
-from truenewton.estimation.findings.estimate import ErrorKind, RejectedRow, Scale
-from truenewton.estimation.findings.finding import Finding, Verdict, judged, no_alpha
-from truenewton.estimation.findings.scale_budget import (
+from truenewton.estimation.findings.code import LIMITS, Code, Concern, Level
+from truenewton.estimation.findings.estimate import (
     FROM_READINGS,
+    ErrorKind,
+    RejectedRow,
+    Scale,
     scale_total,
     tilt_as_load,
     typical,
 )
-from truenewton.estimation.findings.thresholds import LIMITS
+from truenewton.estimation.findings.finding import Finding, Verdict, judged, no_alpha
 from truenewton.estimation.paper.identifiability import (
     NO_LOAD_SEEN,
     SIMILAR_LOADS_FRACTION,

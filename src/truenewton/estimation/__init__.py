@@ -8,24 +8,22 @@ the system that follows eq. 3:
     eq. 3   C alpha = p, the bare mirror         `paper.equations`: `system_c`
     sec. 3  D alpha = q, with added weight Q     `paper.equations`: `system_d`
     eq. 4   E alpha' = r, B and torques unknown  `paper.equations`: `system_e`, `Unknowns`
-    sec. 4  solution by SVD                      `paper.svd`: `solve`; of a campaign, `find`
+    sec. 4  solution by SVD                      `paper.svd`: `solve`, `solve_campaign`
     sec. 4  the proof code                       `studies.proof`: `prove`
-    sec. 5  error over the cycles, E_CYCLE       `paper.cycle_errors`: `CycleErrors`
+    sec. 5  error over the cycles, E_CYCLE       `paper.svd`: `CycleErrors`
 
-Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md):
-`likelihood.objective`. The packages, in the order in which data pass through them; each imports
-those above it only:
+Beyond the paper: maximum likelihood, with the noise in the readings (docs/likelihood.md). Data pass
+through the packages and modules in this order, and each imports only those above it:
 
-    findings         what was found, in records, and what every method returns
-    readings         from rows to means, in two readings
-    paper            the paper, equation by equation
-    screening        rows and files left out before a fit
-    likelihood       maximum likelihood itself
-    matrix           relative alpha from a stiffness matrix alone
-    problem          what the likelihood is asked of a campaign: data, noise, unknowns, priors
-    outlying_shapes  shapes that do not balance
-    effects          what a bench does beside the model
-    checks           whether a campaign is what it claims to be
-    campaign_ml      `ml` on a campaign
-    reciprocity      alpha, sensor gains and offsets from a stiffness that must be symmetric
+    findings      findings, their sentences, and what every method returns
+    readings      from rows to means, in two readings
+    paper         the paper, equation by equation
+    screening     rows and files that are left out before the fit
+    likelihood    maximum likelihood itself
+    matrix        relative alpha from a stiffness matrix alone
+    problem       data, noise, unknowns and priors of a campaign; shapes that do not balance
+    effects       bench effects that the model does not contain
+    checks        whether a campaign is what it claims to be
+    campaign_ml   `ml` on a campaign
+    reciprocity   alpha, sensor gains and offsets from a stiffness that must be symmetric
 """

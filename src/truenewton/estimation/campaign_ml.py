@@ -16,8 +16,13 @@ from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
-from truenewton.estimation.checks.campaign import campaign_warnings, noise_warnings
-from truenewton.estimation.checks.inputs import check_inputs, refusal_naming, strange_alphas
+from truenewton.estimation.checks import (
+    campaign_warnings,
+    check_inputs,
+    noise_warnings,
+    refusal_naming,
+    strange_alphas,
+)
 from truenewton.estimation.effects.examination import (
     ExaminedFit,
     chi2_probability,
@@ -38,21 +43,19 @@ from truenewton.estimation.findings.estimate import (
     RejectedRow,
     Scale,
     UnseenError,
-)
-from truenewton.estimation.findings.scale_budget import (
     scale_errors,
     temperature_errors,
     weight_errors,
 )
-from truenewton.estimation.likelihood.minimum import (
+from truenewton.estimation.likelihood import (
     Minimum,
     Prior,
+    chi2_at,
+    gram_of_e,
     likeliest_spread,
     smooth_patterns,
     with_population,
 )
-from truenewton.estimation.likelihood.objective import chi2_at, gram_of_e
-from truenewton.estimation.outlying_shapes import Fitted, balancing_groups, balancing_moments
 from truenewton.estimation.paper.identifiability import (
     balance_patterns,
     centred_means,
@@ -65,7 +68,10 @@ from truenewton.estimation.paper.identifiability import (
     unseen_load,
 )
 from truenewton.estimation.problem import (
+    Fitted,
     Problem,
+    balancing_groups,
+    balancing_moments,
     load_data,
     problem_of,
     with_noise_from_minimum,
@@ -119,7 +125,7 @@ def tolerable(judged: Diagnosis, n: int) -> bool:
     return 3 * judged.span >= n - 1 and 10 * judged.undetermined <= n
 
 
-def find(screened: ScreenedCampaign, population: bool = False) -> Estimate:
+def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estimate:
     """Find the likeliest alpha of a campaign, outliers left out; no row is read.
 
     Parameters

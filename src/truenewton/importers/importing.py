@@ -15,7 +15,7 @@ import scipy.sparse.csgraph
 from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array
-from truenewton.calibration.numbers import require_known
+from truenewton.calibration.methods import require_known
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix.facts import MatrixFacts

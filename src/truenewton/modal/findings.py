@@ -23,10 +23,10 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import (
     Data,
     Seen,
-    asked,
     calibrate,
     calibration_of,
     estimate_alpha,
+    resolve_method,
     seen_of,
 )
 from truenewton.calibration.result import AnyCalibration, Calibration
@@ -462,8 +462,8 @@ def _with_alpha(
         screened = screen_campaign(data)
         reader = motion_reader(screened)
         if calibration is None:
-            method, known = asked(data, None, population=False, motion=motion)
-            estimate = estimate_alpha(screened, method, known)
+            method, options = resolve_method(data, None, population=False, motion=motion)
+            estimate = estimate_alpha(screened, method, options)
             calibration = calibration_of(data, estimate, (reader.take,))
         else:
             read_rows(data, (reader.take,))

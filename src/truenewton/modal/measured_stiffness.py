@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
-from truenewton.estimation.checks.inputs import refusal_naming
+from truenewton.estimation.checks import refusal_naming
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.readings.repeats import row_groups, row_weights

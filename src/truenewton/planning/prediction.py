@@ -18,11 +18,9 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.estimation.campaign_ml import patterns_near_noise, tolerable, with_patterns_held
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import Diagnosis, ScaleError
+from truenewton.estimation.findings.estimate import Diagnosis, ScaleError, scale_errors, typical
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.findings.scale_budget import scale_errors, typical
-from truenewton.estimation.likelihood.minimum import Minimum
-from truenewton.estimation.likelihood.objective import expected
+from truenewton.estimation.likelihood import Minimum, expected
 from truenewton.estimation.paper.identifiability import (
     describe_pattern,
     load_fault,

@@ -16,7 +16,7 @@ from truenewton.acquisition.load_order import (
 )
 from truenewton.acquisition.taker import POSITION_SIGMAS, POSITION_TOLERANCE
 from truenewton.calibration.summary import warning_lines
-from truenewton.estimation.findings.scale_budget import scale_budget
+from truenewton.estimation.findings.estimate import scale_budget
 from truenewton.files.format import attributes
 from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction
 from truenewton.planning.prediction import Prediction

@@ -26,10 +26,15 @@ from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_sf, t_sf
 from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.campaign_ml import estimate_of
 from truenewton.estimation.findings.code import Code, Level
-from truenewton.estimation.findings.estimate import Diagnosis, RejectedRow, Scale, ScaleError
+from truenewton.estimation.findings.estimate import (
+    Diagnosis,
+    RejectedRow,
+    Scale,
+    ScaleError,
+    scale_error_from_readings,
+)
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.findings.scale_budget import scale_error_from_readings
-from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.estimation.paper.identifiability import geometry_fault, refuse
 from truenewton.estimation.problem import Problem, with_noise_from_minimum

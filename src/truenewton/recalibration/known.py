@@ -14,14 +14,16 @@ from truenewton.calibration.result import CALIBRATIONS, AnyCalibration, Calibrat
 from truenewton.calibration.verdict import refusal_of, refuse_unusable
 from truenewton.errors import FormatError
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import ErrorKind, ErrorSource, Scale
-from truenewton.estimation.findings.finding import Finding, Verdict, judged
-from truenewton.estimation.findings.scale_budget import (
+from truenewton.estimation.findings.estimate import (
     MAGNET_COEFFICIENT,
+    ErrorKind,
+    ErrorSource,
+    Scale,
     WeightErrors,
     added_source,
     weight_errors,
 )
+from truenewton.estimation.findings.finding import Finding, Verdict, judged
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive
 from truenewton.reading import select_segment

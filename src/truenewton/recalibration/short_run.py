@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, NotConverged, RankDeficient
-from truenewton.estimation.findings.estimate import RejectedRow
-from truenewton.estimation.findings.scale_budget import WeightErrors
-from truenewton.estimation.likelihood.minimum import Minimum
-from truenewton.estimation.outlying_shapes import balancing_groups, balancing_moments
+from truenewton.estimation.findings.estimate import RejectedRow, WeightErrors
+from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.paper.identifiability import load_fault
 from truenewton.estimation.problem import (
     Problem,
+    balancing_groups,
+    balancing_moments,
     problem_of,
     with_noise_from_minimum,
     with_share_in_balance,

@@ -14,8 +14,7 @@ from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.chance import FALSE_ALARM, normal_isf
 from truenewton.errors import CampaignMismatch, RankDeficient
-from truenewton.estimation.findings.estimate import Scale
-from truenewton.estimation.findings.scale_budget import typical
+from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
 from truenewton.figures.style import ACCENT, FAINT, on_screen, styled_axes
 from truenewton.records.parts import Parts, has_parts

@@ -8,11 +8,11 @@ from typing import Any, TypeVar, overload
 from truenewton.arrays import Array
 from truenewton.calibration.methods import (
     Seen,
-    asked,
     calibrate,
     calibration_of,
     estimate_alpha,
     refusals,
+    resolve_method,
 )
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.errors import (
@@ -73,21 +73,21 @@ def investigate(
     ((), <ModalFindings of P45: 45 modes>)
     """
     if has_parts(data):
-        options: Any = {"population": population, "motion": motion}
-        return data if holds_alpha(data) else calibrate(data, method, **options)
+        asked: Any = {"population": population, "motion": motion}
+        return data if holds_alpha(data) else calibrate(data, method, **asked)
     assert not isinstance(motion, Mapping)
     if isinstance(data, Calibration):
         return Findings(data, data)
-    method, known = asked(data, method, population=population, motion=motion)
+    method, options = resolve_method(data, method, population=population, motion=motion)
     screened: ScreenedCampaign | None = None
     try:
         if isinstance(data, StiffnessMatrix):
-            calibration = calibrate(data, method, **known._asdict())
+            calibration = calibrate(data, method, **options._asdict())
             evidence = stiffness_evidence(data, calibration)
             modes, no_modes = _modes(data, lambda: find_modes(data, calibration, force=True))
             return Findings(data, calibration, evidence, modes=modes, no_modes=no_modes)
         screened = screen_campaign(data)
-        estimate = estimate_alpha(screened, method, known)
+        estimate = estimate_alpha(screened, method, options)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         return Findings(data, None, faults=refusals(error, screened))
     return _findings_of(screened, estimate)

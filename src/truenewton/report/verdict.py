@@ -12,9 +12,8 @@ from truenewton.calibration.summary import as_sentences
 from truenewton.calibration.verdict import without_unusable
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.findings.estimate import Scale
+from truenewton.estimation.findings.estimate import Scale, scale_total, typical
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
-from truenewton.estimation.findings.scale_budget import scale_total, typical
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.source import Source
 from truenewton.report.change import Change

@@ -9,7 +9,7 @@ import pytest
 from helpers.balanced import RING, campaign_of, changed, noisy, p45_campaign, three_loads
 from truenewton.calibration import methods
 from truenewton.errors import RankDeficient
-from truenewton.estimation.findings.scale_budget import weight_errors
+from truenewton.estimation.findings.estimate import weight_errors
 from truenewton.estimation.paper.equations import system_e
 from truenewton.estimation.paper.svd import bias, fit, solve, weight_changes
 from truenewton.records.campaign import Campaign

@@ -20,7 +20,7 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.effects.catalogue import Effect
 from truenewton.estimation.effects.derivative import FittedRows, scored
 from truenewton.estimation.findings.estimate import NoiseSource
-from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import reading_noise

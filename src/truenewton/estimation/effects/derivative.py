@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
-from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.paper.equations import imbalance_covariance
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments

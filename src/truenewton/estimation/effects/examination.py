@@ -30,7 +30,7 @@ from truenewton.estimation.effects.score_test import (
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import ErrorKind, ScaleError
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import (

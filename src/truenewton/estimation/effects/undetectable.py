@@ -32,9 +32,12 @@ from truenewton.estimation.effects.readings import (
     on_readings,
 )
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import UnseenError
-from truenewton.estimation.findings.scale_budget import MAGNET_COEFFICIENT, NEGLIGIBLE_SCALE_ERROR
-from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.findings.estimate import (
+    MAGNET_COEFFICIENT,
+    NEGLIGIBLE_SCALE_ERROR,
+    UnseenError,
+)
+from truenewton.estimation.likelihood import Minimum
 from truenewton.records.campaign import load_temperatures
 
 # Whose coils are judged each by itself: beyond, there is no room for it.

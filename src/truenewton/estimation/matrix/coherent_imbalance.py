@@ -35,9 +35,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.matrix.couplings import relative_couplings
 from truenewton.estimation.matrix.facts import MatrixFacts
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.likelihood.minimum import (
+from truenewton.estimation.likelihood import (
     likeliest_spread,
     on_logarithms,
     positive,

@@ -19,9 +19,8 @@ import scipy.linalg
 
 from truenewton import linalg
 from truenewton.arrays import Array
-from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.matrix.couplings import pair_ratios
 from truenewton.estimation.readings.rounding_steps import rounding_steps
 from truenewton.records.stiffness_matrix import StiffnessMatrix

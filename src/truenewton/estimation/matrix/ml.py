@@ -10,16 +10,16 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.likelihood.minimum import (
+from truenewton.estimation.likelihood import (
     DataSet,
     Prior,
     likeliest_spread,
+    minimise,
     on_logarithms,
     pull,
     smooth_patterns,
     with_population,
 )
-from truenewton.estimation.likelihood.objective import minimise
 from truenewton.estimation.matrix.columns import Columns, fit_columns
 from truenewton.estimation.matrix.modes import (
     ElasticFit,

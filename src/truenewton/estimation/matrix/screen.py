@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
-from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.finding import MAX_NAMES, Finding
-from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.matrix.bad_sensors import fill_by_symmetry
 from truenewton.estimation.matrix.couplings import ELSEWHERE, pair_ratios, typical_spacing
 from truenewton.estimation.matrix.facts import MatrixFacts

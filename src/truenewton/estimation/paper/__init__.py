@@ -1,7 +1,6 @@
 """The paper (Ricci, Riccardi and Zanotti 2008): read this first.
 
 equations        the unknowns, the systems C, D, E (eqs. 1-4), the imbalance of a reading
-svd              section 4: E alpha' = r by singular value decomposition
-cycle_errors     section 5: each cycle solved alone
-identifiability  what the data can and cannot fix
+svd              section 4: E alpha' = r by singular values; section 5: each cycle alone
+identifiability  what the data can and cannot determine
 """

@@ -17,13 +17,18 @@ from truenewton.arrays import Array
 from truenewton.chance import f_sf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation import campaign_ml
-from truenewton.estimation.checks.inputs import refusal_naming
+from truenewton.estimation.checks import refusal_naming
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import Estimate, Goodness, NoiseSource, with_warnings
+from truenewton.estimation.findings.estimate import (
+    Estimate,
+    Goodness,
+    NoiseSource,
+    temperature_errors,
+    weight_errors,
+    with_warnings,
+)
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.findings.scale_budget import temperature_errors, weight_errors
-from truenewton.estimation.likelihood.minimum import DataSet, Minimum, Prior
-from truenewton.estimation.likelihood.objective import minimise
+from truenewton.estimation.likelihood import DataSet, Minimum, Prior, minimise
 from truenewton.estimation.problem import Problem, load_data, problem_of, with_share_in_balance
 from truenewton.estimation.readings.moments import Moments, chosen_groups, shape_sums
 from truenewton.estimation.reciprocity.acceptance import (
@@ -73,7 +78,7 @@ def find(
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
-    base = campaign_ml.find(screened)
+    base = campaign_ml.fit_campaign(screened)
     if not where_it_holds:
         with advising_ml():
             estimate, against = _found(screened, base, motion)

@@ -19,7 +19,7 @@ from truenewton.calibration.summary import (
     summary_rows,
 )
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.findings.scale_budget import typical
+from truenewton.estimation.findings.estimate import typical
 from truenewton.modal.figures import chosen_modes
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase

@@ -34,8 +34,7 @@ from bokeh.plotting import figure
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.estimation.findings.estimate import Scale
-from truenewton.estimation.findings.scale_budget import typical
+from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.figures.maps import (
     bears_names,
     dot_radius,

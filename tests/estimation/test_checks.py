@@ -1,5 +1,6 @@
 """What only the user can settle: labels, copies, cables, actuators that are not what they say."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 import truenewton as tn
 from helpers.changed import p45, with_forces
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation.checks.column_order import likeliest_order
+from truenewton.estimation.checks import likeliest_order
 from truenewton.estimation.screening.hypotheses import clusters
+from truenewton.linalg import assignment
 from truenewton.records.campaign import Campaign
 
 NOISE = (1e-3, 5e-5)
@@ -96,3 +98,13 @@ def test_clusters_are_as_many_as_loads_or_none():
     assert clusters(np.abs(at[:, None] - at), 2).tolist() == [0, 0, 1, 1, 0]
     at = np.array([0.0, 0.3, 0.6, 1.0])
     assert clusters(np.abs(at[:, None] - at), 2) is None
+
+
+@pytest.mark.parametrize("n", [2, 4, 6])
+def test_it_is_the_cheapest_of_all(n):
+    random = np.random.default_rng(n)
+    for cost in random.normal(size=(40, n, 6)):
+        every = [cost[np.arange(n), order].sum() for order in itertools.permutations(range(6), n)]
+        made = assignment(cost)
+        assert len(set(made)) == n
+        assert cost[np.arange(n), made].sum() == pytest.approx(min(every), abs=1e-12)

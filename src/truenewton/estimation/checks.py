@@ -1,0 +1,499 @@
+"""What is suspected of not being what it says: files, columns, actuators.
+
+Only the user can settle it: suspects are named, in a refusal too, and never corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy
+import scipy.linalg
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.chance import FALSE_ALARM, chi2_sf, f_isf, normal_sf
+from truenewton.errors import Fault, NotConverged, RankDeficient, TooManyOutliers, TrueNewtonError
+from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.estimation.findings.catalogue import ENTRIES, ORDER_OF_BOTH
+from truenewton.estimation.findings.code import LIMITS, Code
+from truenewton.estimation.findings.estimate import NoiseSource
+from truenewton.estimation.findings.finding import MAX_NAMED_ACTUATORS, Finding, about_actuators
+from truenewton.estimation.likelihood import Minimum
+from truenewton.estimation.matrix.couplings import MIN_PLACED_ACTUATORS, misplaced, projected
+from truenewton.estimation.paper.identifiability import centred_means, refuse
+from truenewton.estimation.problem import Problem, roughly_scaled
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.readings.repeats import WEIGHED_NOISE
+from truenewton.estimation.readings.rows import is_displaced
+from truenewton.estimation.screening.frozen_readings import still_sensors
+from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, Noise
+from truenewton.estimation.screening.screen import ScreenedCampaign, naming
+from truenewton.linalg import ROWS_AT_ONCE, assignment, asymmetry
+from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.rounding import named
+from truenewton.statics.arms import arms_in_units_of_rms
+
+MIN_VARIANCE_RATIO = 100.0  # times its noise the variance of a typical reading over shapes is
+MIN_RELATIVE_CHANGE = 0.03  # of a typical change, where nothing tells the noise
+STUCK_CHANGE = 1e-9  # of a typical reading: it does not change at all
+MAX_ALPHA_SIGMAS = 3.0  # from 0
+MAX_DEAD_FRACTION = 0.03  # of the actuators
+WELL_KNOWN_ERROR = 0.1  # error of an alpha in terms of the typical one
+
+
+@dataclass(frozen=True)
+class InputChecks:
+    """What is suspected before effects are looked for.
+
+    Attributes
+    ----------
+    files, actuators
+        Files that are not what they say; actuators whose reading does not change.
+    columns
+        Columns that stand for other actuators: by the balance, else by the stiffness of shapes.
+    unlike
+        Files in two lots, each of which repeats.
+    """
+
+    files: tuple[Finding, ...]
+    actuators: tuple[Finding, ...]
+    columns: tuple[Finding, ...]
+    unlike: tuple[Finding, ...] = ()
+
+    @property
+    def named(self) -> tuple[Finding, ...]:
+        """All of them."""
+        return (*self.files, *self.actuators, *self.columns)
+
+    def where_nothing_balances(self, problem: Problem, moments: Moments) -> InputChecks:
+        """Return these, with files in two lots, or columns that would balance exchanged.
+
+        A dead actuator explains all.
+        """
+        if self.actuators:
+            return self
+        if self.unlike:
+            return replace(self, files=self.files + self.unlike, unlike=())
+        return replace(self, columns=exchanged_columns(problem, moments) or self.columns)
+
+
+def check_inputs(screened: ScreenedCampaign, problem: Problem) -> InputChecks:
+    """Return what rows alone make suspect.
+
+    Raises
+    ------
+    RankDeficient
+        A reading is stuck.
+    """
+    campaign, moments = screened.campaign, screened.moments
+    actuators = constant_actuators(campaign, moments, problem.noise)
+    columns = misordered_columns(campaign, moments)
+    return InputChecks(screened.suspects, actuators, columns, screened.unlike)
+
+
+@contextmanager
+def refusal_naming(suspects: Callable[[], Sequence[Finding]]) -> Iterator[None]:
+    """Let a refusal name what is suspected of being its cause."""
+    try:
+        yield
+    except (RankDeficient, TooManyOutliers, NotConverged) as error:
+        raise naming(error, suspects()) from None
+
+
+def constant_actuators(campaign: Campaign, moments: Moments, noise: Noise) -> tuple[Finding, ...]:
+    """Name actuators whose reading does not change from shape to shape by more than noise.
+
+    Raises
+    ------
+    RankDeficient
+        One does not change at all: no alpha of it can be had, nor the common scale, since whatever
+        force it exerts, and it may be any, could carry the load.
+    """
+    weight, mean, n = moments.weight, moments.mean, moments.mean.shape[1]
+    share = (moments.of_load * weight[:, None]).T
+    total = share.sum(axis=1)
+    centre = share @ mean / np.where(total > 0.0, total, 1.0)[:, None]
+    square, statics, loads = np.zeros(n), np.abs(centre).max(axis=0), np.count_nonzero(total)
+    for start in range(0, len(mean), ROWS_AT_ONCE):
+        some = slice(start, start + ROWS_AT_ONCE)
+        square += weight[some] @ (mean[some] - centre[moments.labels[some, 0]]) ** 2
+    freedom, change = moments.groups - loads, np.sqrt(square / weight.sum())
+    if freedom < 1:
+        return ()
+    _refuse_stuck(campaign, change <= STUCK_CHANGE * np.sqrt(np.mean(change**2 + statics**2)))
+    if noise.source == NoiseSource.MINIMUM:
+        constant = change < MIN_RELATIVE_CHANGE * np.median(change)
+    else:
+        ratio = square / freedom / noise.variance
+        limit = float(f_isf(FALSE_ALARM / n, freedom, moments.repeats or 1e9))
+        constant = (ratio <= limit) & (np.median(ratio) > MIN_VARIANCE_RATIO * limit)
+    at_zero = statics < 5.0 * change * np.sqrt(loads / moments.groups)
+    found = []
+    for i in np.flatnonzero(constant):
+        code, size = Code.DEAD_NO_FORCE if at_zero[i] else Code.STUCK_READING, float(change[i])
+        found.append(about_actuators(campaign.layout, code, [i], size=size, unit="N"))
+    return tuple(found)
+
+
+def _refuse_stuck(campaign: Campaign, stuck: NDArray[np.bool_]) -> None:
+    """Refuse readings that do not change at all, given (n,) which."""
+    ids = campaign.layout.id[campaign.layout.enabled][stuck].tolist()
+    if stuck.all():
+        fault = "FORCE is the same for all shapes"
+        remedy = "record the forces commanded for each shape, once the mirror has settled"
+        refuse([Fault(fault, remedy)])
+    if ids:
+        fault = f"the reading of {named('actuator', ids, len(ids))} is stuck: it is the same for"
+        refuse([Fault(f"{fault} all shapes", ENTRIES[Code.STUCK_READING].remedy)])
+
+
+def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Finding, ...]:
+    """Name actuators whose alpha is 0 or negative while that of the others is not.
+
+    Parameters
+    ----------
+    campaign
+        The actuators.
+    alpha, error
+        (n,) of the enabled ones, and E_STAT.
+    """
+    typical = float(np.median(alpha))
+    known = error < WELL_KNOWN_ERROR * typical
+    dead = known & (np.abs(alpha) < MAX_ALPHA_SIGMAS * error)
+    negative = known & (alpha <= -MAX_ALPHA_SIGMAS * error)
+    many = max(2, MAX_DEAD_FRACTION * alpha.size)
+    if np.count_nonzero(dead | negative) > many:  # the model is wrong, not they
+        return ()
+    return tuple(
+        about_actuators(
+            campaign.layout,
+            code,
+            [i],
+            probability=float(normal_sf((typical - alpha[i]) / error[i])),
+            size=float(alpha[i]),
+        )
+        for which, code in ((dead, Code.DEAD_ALPHA_ZERO), (negative, Code.NEGATIVE_ALPHA))
+        for i in np.flatnonzero(which)
+    )
+
+
+MIN_SHAPE_ASYMMETRY = 0.2  # asymmetry of the stiffness in terms of its size
+MAX_REMAINING_ASYMMETRY = 0.5  # of it, which the better order leaves at most
+MIN_LOG_GAIN_OF_ORDER = np.log(1.5)  # larger each element of a better order is, on the average
+
+
+def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[Finding, ...]:
+    """Name an order of FORCE that POSITION contradicts.
+
+    Nothing is said where POSITION is not at hand, or shapes are too few for a stiffness.
+    """
+    stiffness = stiffness_of_shapes(moments)
+    if stiffness is None:
+        return ()
+    order = likeliest_order(stiffness)
+    moved = np.flatnonzero(order != np.arange(len(order)))
+    if not moved.size:
+        return ()
+    before, after = asymmetry(stiffness), asymmetry(stiffness[np.argsort(order)])
+    element, best = np.abs(stiffness[moved, moved]), np.abs(stiffness[moved, order[moved]])
+    gain = float(np.mean(np.log(best / np.maximum(element, 1e-300))))
+    few = moved.size <= MAX_NAMED_ACTUATORS  # two columns of many hardly show in all of the matrix
+    likelier = after < MAX_REMAINING_ASYMMETRY * before or (few and after < before)
+    if gain < MIN_LOG_GAIN_OF_ORDER or not likelier or (not few and before < MIN_SHAPE_ASYMMETRY):
+        return ()
+    where = f"{{}} (asymmetry of the stiffness {100 * before:.0f} %, in the best order"
+    where += f" {100 * after:.0f} %)"
+    code, detail = (
+        (Code.EXCHANGED_COLUMNS, "FORCE or POSITION") if few else (Code.ORDER_OF_POSITION, "")
+    )
+    return (
+        about_actuators(
+            campaign.layout,
+            code,
+            moved,
+            where,
+            many="columns",
+            detail=detail,
+            size=before,
+            remedy=ORDER_OF_BOTH,
+        ),
+    )
+
+
+def stiffness_of_shapes(moments: Moments) -> Array | None:
+    """Return (n, n) commanded forces on displacements [N/m]; None where the data do not hold it."""
+    counted = moments.weight > 0
+    if moments.displacement is None:
+        return None
+    n, loads = moments.mean.shape[1], moments.labels[counted, 0]
+    if len(np.unique(moments.labels[counted, 1])) < n - 3:
+        return None
+    # Both are as large as all means are: the decomposition takes their room.
+    moved, force = np.asfortranarray(moments.displacement[counted]), moments.mean[counted]
+    for load in np.unique(loads):
+        some = loads == load
+        force[some] -= force[some].mean(axis=0)
+        moved[some] -= moved[some].mean(axis=0)
+    rotated, upper = scipy.linalg.qr_multiply(moved, force.T, overwrite_a=True, overwrite_c=True)
+    # All but piston and tilt, in which no shape needs stand.
+    left, size, right = np.linalg.svd(upper)
+    left, size, right = left[:, : n - 3], size[: n - 3], right[: n - 3]
+    if len(size) < n - 3 or size[-1] <= 1e-9 * size[0]:
+        return None
+    return np.asarray(rotated @ (left / size) @ right)
+
+
+def likeliest_order(stiffness: Array) -> NDArray[np.int64]:
+    """Return (n,) the column of POSITION that belongs to each of FORCE."""
+    size = np.abs(stiffness)
+    return assignment(-np.log(np.maximum(size, 1e-12 * size.max())))
+
+
+MIN_SHAPE_TO_NOISE = 2.0  # times its noise the weakest elastic shape must stand
+MAX_ORDER_PASSES = 10  # passes of the order
+HOME_SPACING_FRACTION = 0.1  # of the spacing of the actuators: nearer, they are seen at home
+TURN_COUNT, TRIED_TURNS = 72, 4  # of the places as a whole; the best of these
+MAX_COORDINATE = 10.0  # in units of the rms coordinate, beyond which one place is as bad as another
+MIN_DISTANCE_RATIO = 3.0  # times as far from its own place as all are from where they are seen
+MAX_ALPHA_FACTOR = 10.0  # alphas of a fit that counts lie within this factor
+MAX_CHI2_RATIO = 0.25  # of chi^2, where nothing tells what it should be
+
+
+def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]:
+    """Name actuators that stand elsewhere, or whose columns of FORCE are exchanged.
+
+    Nothing is said unless the balance is bad as they stand, and good or far better in their place.
+
+    Parameters
+    ----------
+    problem, moments
+        What was fitted, or could not be; all groups, also those that do not balance.
+    """
+    (probability, chi2), layout = _fit(problem, moments), problem.campaign.layout
+    unknown = problem.noise.source == NoiseSource.MINIMUM
+    if not unknown and probability > MIN_FIT_PROBABILITY:
+        return ()  # single rows lie far, no more
+    seen = _homogeneous(problem, moments)
+    if seen is None:
+        return ()
+    elsewhere = misplaced(seen, problem.a) if problem.n >= MIN_PLACED_ACTUATORS else {}
+    places = problem.a.copy()
+    for i, place in elsewhere.items():
+        places[1:, i] = place
+    if elsewhere and _fit_at(problem, moments, places)[1] <= MAX_CHI2_RATIO * chi2:
+        return tuple(
+            about_actuators(
+                layout,
+                Code.MISPLACED_ACTUATOR,
+                [i],
+                f"{{}}, about x = {x:.3g}, y = {y:.3g} m",
+                probability=probability,
+                size=float(np.hypot(x - problem.a[1, i], y - problem.a[2, i])),
+                unit="m",
+            )
+            for i, (x, y) in elsewhere.items()
+        )
+    for order in seen_orders(problem, seen):
+        moved, places = np.flatnonzero(order != np.arange(problem.n)), problem.a[:, order]
+        if not moved.size:
+            continue
+        there = _fit_at(problem, moments, places)
+        if there[1] < MAX_CHI2_RATIO * chi2 if unknown else there[0] > MIN_FIT_PROBABILITY:
+            remedy = "command one of them alone: if another responds, exchange the cables and"
+            remedy += " measure again; otherwise exchange the columns of FORCE"
+            few = moved.size <= MAX_NAMED_ACTUATORS
+            found = about_actuators(
+                layout,
+                Code.EXCHANGED_COLUMNS if few else Code.OTHER_ORDER,
+                moved,
+                many="columns",
+                detail="FORCE",
+                probability=probability,
+                size=float(np.hypot(*(places - problem.a)[1:]).max()),
+                unit="m",
+                remedy=remedy,
+            )
+            return (found,)
+    return ()
+
+
+def _fit_at(problem: Problem, moments: Moments, places: Array) -> tuple[float, float]:
+    """Return the same as `_fit`, with actuators at (3, n) other arms."""
+    return _fit(replace(problem, moved=problem.moved + (places - problem.a)), moments)
+
+
+def _fit(problem: Problem, moments: Moments) -> tuple[float, float]:
+    """Return the probability of the balance of a fit, and its chi^2; 0 where there is none."""
+    try:
+        scaled = roughly_scaled(problem, moments)
+        minimum = scaled.fitted(moments)
+    except (TrueNewtonError, np.linalg.LinAlgError):
+        return 0.0, np.inf
+    alpha = np.maximum(np.abs(minimum.values[: problem.n]), 1e-300)
+    if np.ptp(np.log(alpha)) > np.log(MAX_ALPHA_FACTOR):  # a fit of forces that vanish
+        return 0.0, np.inf
+    chi2 = minimum.chi2 * float(scaled.noise.variance.mean() / problem.noise.variance.mean())
+    return chi2_probability(chi2, problem.degrees_of_freedom(moments), problem.noise), chi2
+
+
+def seen_orders(problem: Problem, seen: Array) -> Iterator[NDArray[np.int64]]:
+    """Yield (n,) the actuator at whose place each is seen, itself unless clearly at another.
+
+    First as most stand at their own place; then whatever order shows the layout best.
+    """
+    arms = arms_in_units_of_rms(problem.campaign.layout)
+    places, itself = (arms[1:] / arms[0]).T, np.arange(problem.n)
+    distance, order = _settled(seen, arms, itself)
+    own, best = distance[itself, itself], distance[itself, order]
+    clear = (order != itself) & (own > MIN_DISTANCE_RATIO * np.median(best))
+    if clear[order[clear]].all():  # else a circle is not closed
+        yield np.where(clear, order, itself)
+    yield order
+    spacing = np.sort(np.linalg.norm(places[:, None] - places, axis=2), axis=1)[:, 1]
+    at_home = np.median(own) < HOME_SPACING_FRACTION * np.median(spacing)
+    if at_home or problem.noise.source == NoiseSource.MINIMUM:  # nothing tells whether that fits
+        return
+    answers = []
+    for start in _turned(seen, places):
+        distance, order = _settled(seen, arms, start)
+        answers.append((float(np.median(distance[itself, order])), order))
+    least = min(size for size, _ in answers)
+    alike = [order for size, order in answers if size <= 2.0 * least]
+    yield max(alike, key=lambda order: np.count_nonzero(order == itself))
+
+
+def _settled(seen: Array, arms: Array, order: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Return (n, n) distances of places seen from places, and the order that these settle at."""
+    places = (arms[1:] / arms[0]).T
+    for _ in range(MAX_ORDER_PASSES):
+        distance = np.linalg.norm(projected(seen, arms[:, order])[:, None] - places, axis=2)
+        before, order = order, assignment(np.minimum(distance, MAX_COORDINATE) ** 2)
+        if np.array_equal(order, before):
+            break
+    return distance, order
+
+
+def _turned(seen: Array, places: Array) -> Iterator[NDArray[np.int64]]:
+    """Yield the orders in which places seen, turned or mirrored as a whole, are most like places.
+
+    If alpha were the same for all, (n, 2) places were (3, n) seen but for a linear map, and a turn
+    once both have unit moments.
+    """
+    flat = np.linalg.lstsq(seen.T, np.ones(len(places)), rcond=None)[0] @ seen
+    whole = np.linalg.svd(seen / flat)[2]  # one row of its span is that of ones
+    across = scipy.linalg.null_space(np.ones((1, len(places))) @ whole[:3].T).T @ whole[:3]
+    of_places = np.linalg.svd((places - places.mean(axis=0)).T, full_matrices=False)[2].T
+    tree, turns = scipy.spatial.cKDTree(of_places), []
+    for angle in np.linspace(0.0, 2.0 * np.pi, TURN_COUNT, endpoint=False):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        for mirror in (1.0, -1.0):
+            turned = (turn @ (across * np.array([[1.0], [mirror]]))).T
+            turns.append((float(np.mean(tree.query(turned)[0] ** 2)), turned))
+    turns.sort(key=lambda one: one[0])
+    for _, turned in turns[:TRIED_TURNS]:
+        yield assignment(np.linalg.norm(turned[:, None] - of_places, axis=2) ** 2)
+
+
+def _homogeneous(problem: Problem, moments: Moments) -> Array | None:
+    """Return (3, n) T A diag(alpha), with some (3, 3) T; None where more than these drowns."""
+    sigma = np.sqrt(problem.noise.variance)
+    centred = centred_means(moments) / sigma
+    values, vectors = scipy.linalg.eigh(centred.T @ centred, subset_by_index=(0, 3))
+    noise = max(float(values[:3].mean()), 1e-13 * float(np.sum(centred**2)))
+    if problem.noise.source != NoiseSource.MINIMUM:
+        noise = max(noise, float(len(centred)))
+    if values[3] < MIN_SHAPE_TO_NOISE * noise:
+        return None
+    return np.asarray((vectors[:, :3] / sigma[:, None]).T)
+
+
+MIN_SCATTER_RATIO = 1.5  # times FORCERR: a scatter of the repeats that is said
+MAX_DAYS_APART = 30.0  # days without a file, in one campaign
+WARM_TEMPERATURE = 50.0  # [deg C]
+MAX_BIAS_TO_WEIGHT = 3.0  # times the weight: bias magnets that hold so much hold another weight
+
+
+def noise_warnings(free: int, weakest: str, held: int, error: float) -> Iterator[Finding]:
+    """Warn of patterns hardly above the noise, and of those held, with the error of each."""
+    if free:
+        yield Finding.of(Code.WEAK_PATTERNS, count=free, weakest=weakest)
+    if held:
+        yield Finding.of(Code.CONSTRAINED_PATTERNS, count=held, error=error)
+
+
+def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Finding]:
+    """Warn of weights that disagree more than their errors allow, and of sensors set anew."""
+    loads = len(problem.campaign.loads)  # the common scale and B take up two of them
+    size = float(np.sum(minimum.values[problem.unknowns.weights] ** 2))
+    if loads > 2 and chi2_sf(size, loads - 2) <= 1e-3:
+        yield Finding.of(Code.WEIGHTS_DISAGREE, loads=loads, sigmas=float(np.sqrt(size)))
+    yield from _cycle_warnings(problem.campaign)
+    in_newton = LIMITS.lowest_alpha < np.median(minimum.values[: problem.n]) < LIMITS.highest_alpha
+    if in_newton:  # else a unit is wrong, perhaps of FORCE, and the verdict says so
+        yield from _weight_warnings(problem, moments, minimum)
+    yield from _rounding_warnings(problem, moments)
+    declared = all(cycle.force_error for cycle in problem.campaign.cycles)
+    expected = WEIGHED_NOISE**2 + np.mean(moments.rounding)
+    louder = float(np.sqrt(problem.noise.seen.mean() / expected))
+    known = declared and problem.noise.source == NoiseSource.REPEATS
+    if known and louder > MIN_SCATTER_RATIO and in_newton:
+        noise = 1e3 * moments.noise
+        yield Finding.of(Code.NOISE_ABOVE_DECLARED, noise=noise, ratio=louder)
+    anew = int(np.count_nonzero(_set_anew(problem, moments)))
+    if anew:
+        yield Finding.of(Code.ZEROS_RESET, sensors=anew)
+
+
+def _set_anew(problem: Problem, moments: Moments) -> NDArray[np.bool_]:
+    """Return (n,) whose zero was set anew, those left aside that do not move at all."""
+    anew, campaign = np.isnan(moments.reference), problem.campaign
+    if not (anew.any() and any(map(is_displaced, campaign.cycles))):
+        return np.zeros_like(anew)
+    return np.asarray(anew & ~still_sensors(campaign).any(axis=0))
+
+
+def _cycle_warnings(campaign: Campaign) -> Iterator[Finding]:
+    """Warn of files long before or after the others, and of a temperature too high for a bench."""
+    files = sorted(campaign.cycles, key=lambda cycle: cycle.date)
+    days = [(b.date - a.date).total_seconds() / 86400 for a, b in pairwise(files)]
+    if max(days, default=0.0) >= MAX_DAYS_APART:
+        cut = int(np.argmax(days)) + 1
+        names = [cycle.name for cycle in min(files[cut:], files[:cut], key=len)]
+        yield Finding.of(Code.DATES_APART, days=max(days), files=names)
+    warm = mean_temperature(campaign.cycles)
+    if warm > WARM_TEMPERATURE:
+        yield Finding.of(Code.TEMPERATURE_IMPLAUSIBLE, temperature=warm)
+
+
+def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Finding]:
+    """Warn of a WEIGHT that actuators cannot have held, or magnets not have been made for.
+
+    Shapes take several times the share of an actuator in the weight, and bias magnets are made to
+    bear about that weight. Alpha rests on the differences between loads alone, unless they tilt.
+    """
+    campaign, n = problem.campaign, problem.n
+    # By actuators first: another array of all means would be the largest of a calibration.
+    commanded = np.maximum(moments.mean.max(axis=0), -moments.mean.min(axis=0))
+    largest = float(np.max(np.abs(minimum.values[:n]) * commanded))
+    each, bias = abs(campaign.weight) / n, float(minimum.values[problem.unknowns.bias])
+    held: dict[str, Any] = {"weight": campaign.weight, "bias": bias}
+    if each > largest:
+        yield Finding.of(Code.WEIGHT_ABOVE_FORCES, each=each, largest=largest, **held)
+    elif abs(bias) > MAX_BIAS_TO_WEIGHT * abs(campaign.weight):
+        yield Finding.of(Code.WEIGHT_BELOW_BIAS, **held)
+
+
+def _rounding_warnings(problem: Problem, moments: Moments) -> Iterator[Finding]:
+    """Say that forces come in steps, where that makes most of their noise."""
+    noise, repeats = problem.noise, moments.rows.sum() / moments.groups
+    rounding, variance = float(np.mean(moments.rounding)), noise.seen + noise.hidden / repeats
+    if noise.source == NoiseSource.MINIMUM or 2 * rounding < variance.mean():
+        return
+    step = 1e3 * float(np.sqrt(np.mean(np.square(moments.step))))
+    yield Finding.of(Code.FORCE_STEPS, step=step, noise=step / np.sqrt(12))
