@@ -8,8 +8,7 @@ import itertools
 
 import numpy as np
 
-from truenewton.estimation.reciprocity.sensor_model import sight
-from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.estimation.reciprocity.sensor_model import Values, sight
 
 
 def free_basis(places):

@@ -29,8 +29,7 @@ from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import METHODS, Options
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.matrix.misfits import condensed
-from truenewton.estimation.matrix.ml import column_fit
-from truenewton.estimation.matrix.modes import columns_of
+from truenewton.estimation.matrix.modes import column_fit, columns_of
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms

@@ -22,8 +22,7 @@ import numpy as np
 import truenewton as tn
 from studies.modal_truth import score_modes
 from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
-from truenewton.estimation.reciprocity.sensor_model import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import at_nominal
+from truenewton.estimation.reciprocity.sensor_model import at_nominal, places_of, sight
 from truenewton.mirrors.sensor_model import sensor_model
 from truenewton.modal.findings import compare_modes, find_modes
 from truenewton.modal.modal_base import Dissipation, dissipation, modal_base

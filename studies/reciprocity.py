@@ -37,8 +37,13 @@ from truenewton.estimation import campaign_ml
 from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity.iteration import fit, point_at
 from truenewton.estimation.reciprocity.regression import regressed
-from truenewton.estimation.reciprocity.sensor_model import places_of
-from truenewton.estimation.reciprocity.unknowns import Kind, Request, Values, at_nominal
+from truenewton.estimation.reciprocity.sensor_model import (
+    Kind,
+    Request,
+    Values,
+    at_nominal,
+    places_of,
+)
 from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import p45
@@ -132,8 +137,8 @@ def campaigns(seeds, bounds, noise, loop):
         screened = screen_campaign(campaign)
         for name, estimate in (
             ("ml", campaign_ml.fit_campaign(screened)),
-            ("reciprocity, glass known", reciprocity_of_campaign.find(screened, motion)),
-            ("reciprocity", reciprocity_of_campaign.find(screened)),
+            ("reciprocity, glass known", reciprocity_of_campaign.fit_campaign(screened, motion)),
+            ("reciprocity", reciprocity_of_campaign.fit_campaign(screened)),
         ):
             found = estimate.values[:n]
             relative = estimate.reading_covariance[:n, :n] / np.outer(found, found)

@@ -17,8 +17,13 @@ from truenewton.errors import TrueNewtonError
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.reciprocity.acceptance import refusals
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
-from truenewton.estimation.reciprocity.sensor_model import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Request
+from truenewton.estimation.reciprocity.sensor_model import (
+    START_REQUEST,
+    Kind,
+    Request,
+    places_of,
+    sight,
+)
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.sensor_model import model_sensors
 from truenewton.mirrors.shell.shell_model import model_shell

@@ -7,8 +7,7 @@ import numpy as np
 from truenewton.estimation.reciprocity.information import information
 from truenewton.estimation.reciprocity.iteration import point_at
 from truenewton.estimation.reciprocity.regression import Regressed
-from truenewton.estimation.reciprocity.sensor_model import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sight
 from truenewton.mirrors.known import p45, ring
 from truenewton.mirrors.shell.shell_model import (
     condense,

@@ -33,8 +33,7 @@ from truenewton.estimation.likelihood import (
     start_values,
     with_population,
 )
-from truenewton.estimation.matrix.ml import column_fit
-from truenewton.estimation.matrix.modes import columns_of
+from truenewton.estimation.matrix.modes import column_fit, columns_of
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.paper.svd import condition_in_units_of_rms
 from truenewton.estimation.readings.moments import shape_sums

@@ -3,8 +3,7 @@
 import numpy as np
 
 from studies.joint_bound import free_basis
-from truenewton.estimation.reciprocity.sensor_model import Places, sight
-from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.estimation.reciprocity.sensor_model import Places, Values, sight
 from truenewton.statics.layout import rings
 
 

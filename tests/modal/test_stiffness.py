@@ -20,8 +20,7 @@ from truenewton.estimation.findings.estimate import Sensor
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.readings import repeats
 from truenewton.estimation.readings.row_readers import read_rows
-from truenewton.estimation.reciprocity.sensor_model import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sight
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45

@@ -24,8 +24,7 @@ from truenewton.acquisition.shapes import model_glass, shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.estimate import FROM_READINGS, tilt_as_load, typical
-from truenewton.estimation.reciprocity.sensor_model import places_of
-from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
+from truenewton.estimation.reciprocity.sensor_model import Kind, Request, at_nominal, places_of
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.sensor_model import sensor_model

@@ -29,7 +29,6 @@ from truenewton.estimation import campaign_ml
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Diagnosis, Estimate, typical, with_warnings
 from truenewton.estimation.findings.finding import Finding, distinct
-from truenewton.estimation.matrix import ml as matrix_ml
 from truenewton.estimation.matrix import modes as matrix_modes
 from truenewton.estimation.matrix.coherent_imbalance import doubts_of_balance
 from truenewton.estimation.matrix.facts import MatrixFacts, doubts_of, symmetry_of
@@ -97,7 +96,7 @@ def _by_balance(
     screened: ScreenedMatrix, method: matrix_modes.ElasticMethod
 ) -> tuple[Estimate, Imbalances]:
     """Return the estimate of a method that balances forces, and how well it does."""
-    return _with_imbalances(screened, method, matrix_modes.find(screened, method))
+    return _with_imbalances(screened, method, matrix_modes.fit_balance(screened, method))
 
 
 def _with_imbalances(
@@ -113,9 +112,11 @@ def _with_imbalances(
 
 def _reciprocal(screened: ScreenedMatrix, options: Options) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity, and what speaks against it."""
-    base = matrix_modes.find(screened, matrix_ml.column_fit)
+    base = matrix_modes.fit_balance(screened, matrix_modes.column_fit)
     with advising_ml():
-        estimate, of_modes, against = reciprocity_of_matrix.find(screened, base, options.motion)
+        estimate, of_modes, against = reciprocity_of_matrix.fit_matrix(
+            screened, base, options.motion
+        )
     return with_warnings(estimate, doubts(against)), of_modes
 
 
@@ -126,15 +127,15 @@ def _where_reciprocity_holds(
 
     That of `ml` comes first, for whoever does not want to wait.
     """
-    base = matrix_modes.find(screened, matrix_ml.column_fit)
+    base = matrix_modes.fit_balance(screened, matrix_modes.column_fit)
 
     def of_balance(against: Iterable[Finding]) -> tuple[Estimate, Imbalances]:
         told = with_warnings(base, instead(against))
-        return _with_imbalances(screened, matrix_ml.column_fit, told)
+        return _with_imbalances(screened, matrix_modes.column_fit, told)
 
     tell(_in_short(base), keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
     try:
-        estimate, of_modes, against = reciprocity_of_matrix.find(
+        estimate, of_modes, against = reciprocity_of_matrix.fit_matrix(
             screened, base, options.motion, where_it_holds=True
         )
         if not against:
@@ -158,18 +159,18 @@ METHODS = {
     "ml": Method(
         lambda screened, options: campaign_ml.fit_campaign(screened, options.population),
         lambda screened, options: _by_balance(
-            screened, partial(matrix_ml.column_fit, population=options.population)
+            screened, partial(matrix_modes.column_fit, population=options.population)
         ),
     ),
     "svd": Method(
         _svd_of_cycles, lambda screened, _: _by_balance(screened, matrix_modes.singular_fit)
     ),
     "reciprocity": Method(
-        lambda screened, options: reciprocity_of_campaign.find(screened, options.motion),
+        lambda screened, options: reciprocity_of_campaign.fit_campaign(screened, options.motion),
         _reciprocal,
     ),
     "auto": Method(
-        lambda screened, options: reciprocity_of_campaign.find(
+        lambda screened, options: reciprocity_of_campaign.fit_campaign(
             screened, options.motion, where_it_holds=True
         ),
         _where_reciprocity_holds,

@@ -21,7 +21,7 @@ from truenewton.estimation.findings.estimate import (
 )
 from truenewton.estimation.likelihood import DataSet, Minimum, Prior, minimise, start_values
 from truenewton.estimation.matrix.facts import MatrixFacts
-from truenewton.estimation.matrix.ml import likeliest, mode_data
+from truenewton.estimation.matrix.modes import likeliest, mode_data
 from truenewton.estimation.paper.equations import (
     MEDIAN_CHI2,
     Unknowns,

@@ -29,8 +29,7 @@ from truenewton.errors import LimitExceeded, RankDeficient, TrueNewtonError, loc
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.reciprocity.sensor_model import places_of
-from truenewton.estimation.reciprocity.unknowns import Kind, Request
+from truenewton.estimation.reciprocity.sensor_model import Kind, Request, places_of
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.sensor_model import model_sensors
 from truenewton.planning.forces import (

@@ -33,8 +33,7 @@ from truenewton.estimation.reciprocity.campaign import alpha_information, mean_f
 from truenewton.estimation.reciprocity.information import information
 from truenewton.estimation.reciprocity.iteration import point_at
 from truenewton.estimation.reciprocity.regression import Regressed, refuse_unheld
-from truenewton.estimation.reciprocity.sensor_model import Places
-from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
+from truenewton.estimation.reciprocity.sensor_model import Kind, Places, Request, at_nominal
 from truenewton.estimation.screening.noise import reading_noise
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign

@@ -10,8 +10,7 @@ from studies.matrices import measured_or_made, noisy, true_stiffness
 from studies.matrix_grades import mistakes, sound_matrices
 from truenewton.estimation.matrix.coherent_imbalance import coherent_imbalance, patterns_of
 from truenewton.estimation.matrix.facts import MatrixFacts, negative_modes, symmetry_of
-from truenewton.estimation.matrix.ml import column_fit
-from truenewton.estimation.matrix.modes import columns_of
+from truenewton.estimation.matrix.modes import column_fit, columns_of
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.statics.arms import comparable_arms
 

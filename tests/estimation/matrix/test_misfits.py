@@ -16,11 +16,10 @@ from truenewton.estimation.matrix import modes as matrix_modes
 from truenewton.estimation.matrix.couplings import pair_ratios, relative_couplings
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
-from truenewton.estimation.matrix.ml import column_fit, likeliest
-from truenewton.estimation.matrix.modes import columns_of
+from truenewton.estimation.matrix.modes import column_fit, columns_of, likeliest
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
-from truenewton.estimation.reciprocity.condensation import odd_actuators
+from truenewton.estimation.reciprocity.regression import odd_actuators
 from truenewton.mirrors.known import mmt336, ring
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
@@ -283,9 +282,9 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
 def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
     matrix, _ = p45_matrix()
     screened = screen_matrix(matrix)
-    base = matrix_modes.find(screened, column_fit)
+    base = matrix_modes.fit_balance(screened, column_fit)
     values = np.where(np.arange(len(base.values)) == BAD, -0.02, base.values)
-    found = reciprocity_of_matrix.find(screened, replace(base, values=values))[0]
+    found = reciprocity_of_matrix.fit_matrix(screened, replace(base, values=values))[0]
     assert np.isfinite(found.values).all()
 
 

@@ -27,17 +27,16 @@ from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity import iteration
-from truenewton.estimation.reciprocity.condensation import (
+from truenewton.estimation.reciprocity.information import information, score
+from truenewton.estimation.reciprocity.iteration import fit, point_at
+from truenewton.estimation.reciprocity.matrix import modes_of
+from truenewton.estimation.reciprocity.regression import (
+    Regressed,
     condensed_regression,
     kept_places,
     odd_actuators,
 )
-from truenewton.estimation.reciprocity.information import information, score
-from truenewton.estimation.reciprocity.iteration import fit, point_at
-from truenewton.estimation.reciprocity.matrix import modes_of
-from truenewton.estimation.reciprocity.regression import Regressed
-from truenewton.estimation.reciprocity.sensor_model import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import Kind, Request, Values
+from truenewton.estimation.reciprocity.sensor_model import Kind, Request, Values, places_of, sight
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import mmt336, p45, ring
 from truenewton.mirrors.sensor_model import puck_motion, sensor_model
@@ -198,8 +197,8 @@ def test_with_a_model_of_the_glass_the_readings_of_annuli_fit():
     assert np.abs(work - work.T).max() < 1e-9 * np.abs(work).max()
     screened = screen_campaign(p45_campaign())
     with_model, without = (
-        reciprocity_of_campaign.find(screened, motion),
-        reciprocity_of_campaign.find(screened),
+        reciprocity_of_campaign.fit_campaign(screened, motion),
+        reciprocity_of_campaign.fit_campaign(screened),
     )
     assert with_model.goodness.probability > 1e-3
     assert with_model.goodness.chi2 < without.goodness.chi2

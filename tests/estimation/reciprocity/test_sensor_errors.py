@@ -5,7 +5,7 @@ import pytest
 
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
-from truenewton.estimation.reciprocity.unknowns import Kind
+from truenewton.estimation.reciprocity.sensor_model import Kind
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.statics.arms import comparable_arms

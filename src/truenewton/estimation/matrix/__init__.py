@@ -1,14 +1,11 @@
-"""A stiffness matrix alone.
+"""Relative alpha from a stiffness matrix alone, in the order of the data.
 
-couplings           between actuators, and the positions that they imply
-facts               symmetry and negative modes
-order               whether it is a stiffness, lies the right way round, in the order of places
-bad_sensors         sensors that read something else
-misfits             actuators that do not fit, found and set free
+couplings           couplings between actuators, and the positions that they imply
+facts               properties of a matrix, each computed once
+order               whether it is a stiffness, its orientation, and the order of its coordinates
+misfits             actuators and sensors that do not fit the others
 screen              the matrix without them
-modes               relative alpha by its singular vectors
-columns             the columns in balance, each with the noise that it shows
-column_noise        what that noise follows
-ml                  maximum likelihood
-coherent_imbalance  whether the imbalance is noise, or the pattern of a mistake
+columns             likelihood of the columns, each with the noise that its data show
+modes               relative alpha from columns or elastic modes
+coherent_imbalance  whether the remaining imbalance is noise or the pattern of a mistake
 """

@@ -12,7 +12,6 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.finding import MAX_NAMES, Finding
-from truenewton.estimation.matrix.bad_sensors import fill_by_symmetry
 from truenewton.estimation.matrix.couplings import ELSEWHERE, pair_ratios, typical_spacing
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.misfits import (
@@ -23,6 +22,7 @@ from truenewton.estimation.matrix.misfits import (
     FitsNoSymmetry,
     bad_actuators,
     condensed,
+    fill_by_symmetry,
     residual_force,
 )
 from truenewton.estimation.matrix.order import (

@@ -1,23 +1,19 @@
 """Reciprocity: alpha, sensor gains and sensor offsets from a stiffness that must be symmetric.
 
-True stiffness is symmetric (Maxwell, Betti), its forces balance, and rigid motions cost none. Of a
-measured stiffness K_c, force command per reading,
+A true stiffness is symmetric (Maxwell, Betti), its forces balance, and rigid motions cost none. For
+a measured stiffness K_c, force command per reading,
 
     D_alpha K_c = K H D_g,    K = K',    K R = 0
 
-with H from displacements at the sensors to those at the magnets. The likeliest K is eliminated; see
-docs/reciprocity.md. The files, in the order in which data pass through them:
+where H maps displacements at the sensors to those at the magnets. The most likely K is eliminated;
+see docs/reciprocity.md. The files, in the order of the data:
 
-    unknowns      alpha, gains and offsets; which of them are asked for
-    sensor_model  H: where the sensors see the mirror, and where forces do work
-    states        reading patterns, their forces and displacements, and their duals
+    sensor_model  the unknowns (alpha, gains, offsets), and H
     information   the equations, their score and information, as sums of Hadamard products
-    noise         noise of a matrix from what is left, in bins of modes or of single elements
-    response      how fits answer to it: errors that hold whatever the weights
-    iteration     steps, spreads of gains and offsets, and the end
-    regression    the stiffness that a campaign measured, and the noise that it leaves
-    condensation  actuators and sensors that do not obey it: found, and left free
-    acceptance    whether reciprocity holds, and what it finds of the sensors
+    iteration     steps to the maximum of the likelihood, spreads of gains and offsets
+    regression    the stiffness that a campaign measured, without actuators that do not obey it
+    acceptance    whether reciprocity holds, and the estimated sensors
+    noise         noise of a matrix, from its residuals, and the errors that it causes
     campaign      a campaign: relative alpha by reciprocity, the scale from the weights
-    matrix        a stiffness matrix alone, modes held out
+    matrix        a stiffness matrix alone, with held-out modes
 """

@@ -18,7 +18,7 @@ from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Sensor
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.reciprocity.iteration import Fit
-from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind
+from truenewton.estimation.reciprocity.sensor_model import OFFSETS, Kind
 
 # Of simulated stiffnesses of P45 these keep those whose alpha is better with reciprocity than by
 # balance alone (docs/reciprocity.md).

@@ -41,16 +41,22 @@ from truenewton.estimation.reciprocity.acceptance import (
     refusals,
     sensors_of,
 )
-from truenewton.estimation.reciprocity.condensation import condensed_regression, kept, kept_places
 from truenewton.estimation.reciprocity.iteration import Fit, fit
-from truenewton.estimation.reciprocity.regression import MAX_SINGLE_STATES, Regressed, regressed
-from truenewton.estimation.reciprocity.sensor_model import places_of
-from truenewton.estimation.reciprocity.unknowns import (
+from truenewton.estimation.reciprocity.regression import (
+    MAX_SINGLE_STATES,
+    Regressed,
+    condensed_regression,
+    kept,
+    kept_places,
+    regressed,
+)
+from truenewton.estimation.reciprocity.sensor_model import (
     START_REQUEST,
     Kind,
     Request,
     Values,
     at_nominal,
+    places_of,
 )
 from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
@@ -60,7 +66,7 @@ MIN_START_ALPHA = 0.05  # alpha of `ml` with which an iteration begins
 IMPROBABLE_FIT = 1e-3  # of a fit: beyond, errors grow by what it leaves
 
 
-def find(
+def fit_campaign(
     screened: ScreenedCampaign, motion: Array | None = None, *, where_it_holds: bool = False
 ) -> Estimate:
     """Find alpha and the sensors of a campaign; what speaks against them is among the warnings.

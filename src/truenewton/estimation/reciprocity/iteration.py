@@ -13,15 +13,24 @@ from truenewton.estimation.reciprocity.information import (
     Fitted,
     Leverage,
     Point,
+    States,
+    Weights,
     designs,
     information,
     likeliest,
     residuals,
     score,
 )
-from truenewton.estimation.reciprocity.sensor_model import Places, SensorModel, sight
-from truenewton.estimation.reciprocity.states import States, Weights
-from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Request, Values, at_nominal
+from truenewton.estimation.reciprocity.sensor_model import (
+    OFFSETS,
+    Kind,
+    Places,
+    Request,
+    SensorModel,
+    Values,
+    at_nominal,
+    sight,
+)
 from truenewton.linalg import inverse_of_positive, thread_count, threads
 
 MAX_STEPS = 40

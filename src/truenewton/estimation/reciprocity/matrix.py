@@ -25,19 +25,25 @@ from truenewton.estimation.reciprocity.acceptance import (
     refusals,
     sensors_of,
 )
-from truenewton.estimation.reciprocity.condensation import kept, kept_places
+from truenewton.estimation.reciprocity.information import States, Weights
 from truenewton.estimation.reciprocity.iteration import Fit, fit
-from truenewton.estimation.reciprocity.noise import BinnedNoise
-from truenewton.estimation.reciprocity.response import (
+from truenewton.estimation.reciprocity.noise import (
+    BinnedNoise,
     Noise,
     beyond_noise,
     drawn_differences,
     noise_of,
     stated_errors,
 )
-from truenewton.estimation.reciprocity.sensor_model import Places, places_of
-from truenewton.estimation.reciprocity.states import States, Weights
-from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Request, Values
+from truenewton.estimation.reciprocity.regression import kept, kept_places
+from truenewton.estimation.reciprocity.sensor_model import (
+    START_REQUEST,
+    Kind,
+    Places,
+    Request,
+    Values,
+    places_of,
+)
 from truenewton.progress import tell
 from truenewton.statics.layout import Layout
 
@@ -270,7 +276,7 @@ def _unseen(imbalances: tuple[Imbalance, ...]) -> float:
     return float(np.linalg.norm([line.after for line in imbalances[1:]]))
 
 
-def find(
+def fit_matrix(
     screened: ScreenedMatrix,
     base: Estimate,
     motion: Array | None = None,
