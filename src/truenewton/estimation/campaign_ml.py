@@ -209,8 +209,8 @@ def _examined(
     left = examined(
         plain.problem, plain.moments, plain.minimum, screened.structure, screened.samples
     )
-    left = replace(left, minimum=with_magnets_unsure(left))
     unseen = unseen_errors(left)
+    left = replace(left, minimum=with_magnets_unsure(left))
     left = replace(left, minimum=with_positions_unsure(left))
     return left if left.fits or left.explained else _less_sure(left), unseen
 

@@ -6,7 +6,7 @@ one, write the function, and list it in `CATALOGUE`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,17 +15,13 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.estimation.effects.derivative import Derivative, FittedRows, OfEach
 from truenewton.estimation.effects.readings import (
-    GAIN,
-    ZERO,
     Field,
-    OnReadings,
-    RowFunctions,
+    FieldSums,
     Sizes,
-    always,
     derivative_of,
+    field_sums,
     from_mean,
-    on_readings,
-    row_functions,
+    functions_with,
     standing_out,
 )
 from truenewton.estimation.findings.catalogue import ENTRIES
@@ -93,35 +89,60 @@ def _files(within: WithinGroups) -> slice:
     return slice(0, len(within.weight))
 
 
-def _gain(fit: FittedRows) -> OnReadings:
-    """Return what g = -c^ h does, h by file, by hour (both of each actuator too) and by load.
+def _gain(fit: FittedRows) -> Field:
+    """Return g = -c^ h, h by file, by hour (both also of each actuator) and by load.
 
-    That of a load is 1 under it, less its mean over all rows: alpha stays that of the whole
+    The h of a load is 1 under it, less its mean over all rows: alpha stays that of the whole
     campaign.
     """
     of_load, weight = fit.moments.of_load, fit.moments.weight
     loads = (of_load - weight @ of_load / weight.sum()).T[1:]
-    functions = row_functions(fit.moments, loads)
-    return _once(fit, GAIN, functions, functions.within)
+    within = len(fit.moments.within.first)
+    functions = functions_with(fit.moments, loads)
+    return Field(lambda _, c: -c, functions, within, each=within, gain=True)
 
 
-def _zero(fit: FittedRows) -> OnReadings:
-    """Return what g = h does, h by file and by hour, of each actuator as well."""
-    functions = row_functions(fit.moments, np.empty((0, len(fit.moments.mean))))
-    return _once(fit, ZERO, functions, functions.within)
+def _zero(fit: FittedRows) -> Field:
+    """Return g = h, h by file and by hour, also of each actuator."""
+    groups = len(fit.moments.mean)
+    functions = functions_with(fit.moments, np.empty((0, groups)))
+    return Field(lambda *_: np.ones((groups, 1)), functions, len(functions), each=len(functions))
 
 
-def _once(fit: FittedRows, field: Field, functions: RowFunctions, k: int) -> OnReadings:
-    """Return what effects do that share a field."""
-    if field.name not in fit.found:
-        fit.found[field.name] = on_readings(fit, functions, field, k)
-    found: OnReadings = fit.found[field.name]
+def _bend(fit: FittedRows, bent: Callable[[Array], Array]) -> Field:
+    """Return g = -c^2 or -c^3 in all rows, also of each actuator."""
+    return Field(lambda _, c: -bent(c), fit.moments.weight[None], each=1)
+
+
+def _displacement(fit: FittedRows) -> Field:
+    """Return g = -c^ z in all rows."""
+    z = fit.moments.displacement
+    return Field(lambda some, c: -c * z[:, some], fit.moments.weight[None])
+
+
+FIELDS: dict[str, Callable[[FittedRows], Field]] = {
+    "gain": _gain,
+    "zero": _zero,
+    "power 2": partial(_bend, bent=np.square),
+    "power 3": partial(_bend, bent=lambda c: c * c * c),
+    "displacement": _displacement,
+}
+
+
+def sum_fields(fit: FittedRows, names: Sequence[str]) -> None:
+    """Sum fields that several effects share, in one pass over the readings."""
+    sums = field_sums(fit, [FIELDS[name](fit) for name in names])
+    fit.found.update(zip(names, sums, strict=True))
+
+
+def _sums(fit: FittedRows, name: str) -> FieldSums:
+    if name not in fit.found:
+        sum_fields(fit, [name])
+    found: FieldSums = fit.found[name]
     return found
 
 
-def by_hour(
-    fit: FittedRows, on: Callable[[FittedRows], OnReadings], *, each: bool
-) -> Derivative | None:
+def by_hour(fit: FittedRows, field: str, *, each: bool) -> Derivative | None:
     """Let alpha drift (`_gain`: g = -c^ h, h the hours) or the zero (g = h), of all or of each.
 
     Zeros of the readings or bias magnets, no balance tells: readings and B move together.
@@ -130,7 +151,7 @@ def by_hour(
     if not np.any(within.square > 0):
         return None
     files = len(within.weight)
-    return derivative_of(fit, on(fit), Sizes(slice(files, files + 1), each))
+    return derivative_of(fit, _sums(fit, field), Sizes(slice(files, files + 1), each))
 
 
 def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
@@ -138,7 +159,7 @@ def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
     within = fit.moments.within
     if len(within.weight) < 3:
         return None
-    gain, files, mix = _gain(fit), _files(within), from_mean(within.weight.sum(axis=1))
+    gain, files, mix = _sums(fit, "gain"), _files(within), from_mean(within.weight.sum(axis=1))
     if not single:
         return derivative_of(fit, gain, Sizes(files, mix=mix))
     affected = fit.affected
@@ -153,8 +174,8 @@ def gain_by_load(fit: FittedRows) -> Derivative | None:
     """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart."""
     if len(fit.moments.loads) < 2:
         return None
-    gain = _gain(fit)
-    return derivative_of(fit, gain, Sizes(slice(gain.functions.within, len(gain.score))))
+    gain = _sums(fit, "gain")
+    return derivative_of(fit, gain, Sizes(slice(gain.field.within, len(gain.score))))
 
 
 def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -162,7 +183,7 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     within = fit.moments.within
     if len(within.weight) < 3:
         return None
-    return derivative_of(fit, _zero(fit), Sizes(_files(within), each))
+    return derivative_of(fit, _sums(fit, "zero"), Sizes(_files(within), each))
 
 
 def load_repositioned(fit: FittedRows) -> Derivative | None:
@@ -174,27 +195,19 @@ def load_repositioned(fit: FittedRows) -> Derivative | None:
     if len(within.weight) < 3:
         return None
     sizes = Sizes(_files(within), each=True, direction=fit.scaled_arms[0])
-    return derivative_of(fit, _zero(fit), sizes)
+    return derivative_of(fit, _sums(fit, "zero"), sizes)
 
 
 def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
     """Bend the coils: g = -c^2 or -c^3, of all alike or of each."""
-
-    def bent(at: FittedRows, some: slice) -> Array:
-        c = at.recorded(some)
-        return -c * (c if power == 2 else c * c)
-
-    found = _once(fit, Field(f"power {power}", bent), always(fit.moments), 1)
-    return derivative_of(fit, found, Sizes(each=each))
+    return derivative_of(fit, _sums(fit, f"power {power}"), Sizes(each=each))
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
     """Change the force of coils with the displacement z beside COILGRAD: g = -c^ z."""
-    z = fit.moments.displacement
-    if z is None:
+    if fit.moments.displacement is None:
         return None
-    field = Field("gradient", lambda at, some: -at.recorded(some) * z[:, some])
-    return derivative_of(fit, on_readings(fit, always(fit.moments), field), Sizes())
+    return derivative_of(fit, _sums(fit, "displacement"), Sizes())
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:
@@ -313,8 +326,8 @@ LOAD_REPOSITIONED = Effect(
 POSITIONS = Effect(Code.POSITIONS, "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (
-    Effect(Code.GAIN_BY_HOUR, "1/h", partial(by_hour, on=_gain, each=False), _WARM),
-    Effect(Code.GAIN_BY_HOUR_OF_EACH, "1/h", partial(by_hour, on=_gain, each=True), _WARM,
+    Effect(Code.GAIN_BY_HOUR, "1/h", partial(by_hour, field="gain", each=False), _WARM),
+    Effect(Code.GAIN_BY_HOUR_OF_EACH, "1/h", partial(by_hour, field="gain", each=True), _WARM,
            "actuator"),
     Effect(Code.GAIN_BY_FILE, "", partial(gain_by_file, single=False), _WARM, "file"),
     Effect(Code.GAIN_BY_FILE_OF_SINGLE, "", partial(gain_by_file, single=True), _DRIVER,
@@ -323,8 +336,8 @@ CATALOGUE: tuple[Effect, ...] = (
            lambda fit: fit.moments.displacement is not None),
     Effect(Code.WEIGHT_OF_LOAD, "N", weight_of_load, "weigh mirror and loads anew", "load",
            lambda _: False),
-    Effect(Code.ZERO_BY_HOUR, "N/h", partial(by_hour, on=_zero, each=False), _ZERO),
-    Effect(Code.ZERO_BY_HOUR_OF_EACH, "N/h", partial(by_hour, on=_zero, each=True), _ZERO,
+    Effect(Code.ZERO_BY_HOUR, "N/h", partial(by_hour, field="zero", each=False), _ZERO),
+    Effect(Code.ZERO_BY_HOUR_OF_EACH, "N/h", partial(by_hour, field="zero", each=True), _ZERO,
            "actuator"),
     Effect(Code.ZERO_BY_FILE, "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,

@@ -23,9 +23,9 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg.blas import dtrmm
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from truenewton.arrays import Array
 from truenewton.estimation.likelihood import Minimum
@@ -110,14 +110,18 @@ class FittedRows:
         rows -= self.rho @ self._p
         return rows
 
-    def fitted(self, some: slice = slice(None)) -> Array:
+    def fitted(self, some: slice | NDArray[np.intp] = slice(None)) -> Array:
         """Return (g, b) the same of every group, of some actuators [N]."""
         return self.moments.pooling.groups(self.fitted_rows[:, some])
 
-    def apart(self, some: slice = slice(None)) -> Array:
-        """Return (g, b) what pooled rows leave of the means of some actuators, c - U y [N]."""
-        rows = self.fitted_rows[:, some] + self.rho @ self._p[:, some]
-        return np.asarray(self.moments.mean[:, some] - self.moments.pooling.groups(rows))
+    @cached_property
+    def _group_rho(self) -> Array:
+        """(g, 3) U rho."""
+        return self.moments.pooling.groups(self.rho)
+
+    def apart(self, some: slice, fitted: Array) -> Array:
+        """Return (g, b) what pooled rows leave of the means, c - U y [N], y = c^ + P rho."""
+        return np.asarray(self.moments.mean[:, some] - fitted - self._group_rho @ self._p[:, some])
 
     @cached_property
     def taken(self) -> Array:
@@ -125,10 +129,10 @@ class FittedRows:
         noise = self.problem.noise
         return np.asarray(np.sqrt(noise.share) * (self.root @ (self.scaled_arms * noise.variance)))
 
-    def recorded(self, some: slice) -> Array:
+    def recorded(self, some: slice | NDArray[np.intp], fitted: Array | None = None) -> Array:
         """Return (g, b) c^ as recorded, with what is being taken out: coils bend by that [N]."""
-        removed = self.removed if isinstance(self.removed, float) else self.removed[:, some]
-        return self.fitted(some) + removed
+        fitted = self.fitted(some) if fitted is None else fitted
+        return fitted if isinstance(self.removed, float) else fitted + self.removed[:, some]
 
     def noise_covariance(self, some: slice | NDArray[np.intp]) -> Array:
         """Return (b, n) V of the noise that fitted rows carry still, of some actuators [N^2]."""
@@ -188,19 +192,23 @@ class FittedRows:
         return cross
 
     @cached_property
-    def information_factor(self) -> Array:
-        """(free, free) lower Cholesky factor of H; above its diagonal stands anything."""
+    def _inverse_factor(self) -> Array:
+        """(free, free) L^-1, L the lower Cholesky factor of H; undefined above its diagonal."""
         information = self.minimum.information[: self.free, : self.free]
         # The upper triangle is the lower one in the order of Fortran, so no second copy is made.
         factor, failed = dpotrf(information.T, lower=True, clean=False)
         if failed:
             raise np.linalg.LinAlgError("the information is not positive definite")
-        return np.asarray(factor)
+        # Products take half as long as solutions of triangular equations.
+        return np.asarray(dtrtri(factor, lower=True, overwrite_c=True)[0])
 
     def half_solved(self, cross: Array) -> Array:
-        """Return (free, k) L^-1 cross' of (k, free), L the Cholesky factor of H."""
-        solve = scipy.linalg.solve_triangular
-        return np.asarray(solve(self.information_factor, cross.T, lower=True, check_finite=False))
+        """Return (free, k) L^-1 cross' of (k, free)."""
+        return np.asarray(dtrmm(1.0, self._inverse_factor, cross.T, lower=True))
+
+    def solved(self, half: Array) -> Array:
+        """Return (free, k) L^-1' of (free, k), which is H^-1 cross' of `half_solved` cross'."""
+        return np.asarray(dtrmm(1.0, self._inverse_factor, half, lower=True, trans_a=1))
 
 
 NEGLIGIBLE_NOISE_SHARE = 1e-3  # share of D in terms of H, below which it is not worth its products
@@ -312,8 +320,7 @@ class Scored:
     @cached_property
     def moves(self) -> Array:
         """(k, free) B."""
-        factor, solve = self.fit.information_factor, scipy.linalg.solve_triangular
-        return np.asarray(solve(factor, self.half, lower=True, trans=1, check_finite=False).T)
+        return self.fit.solved(self.half).T
 
     def moves_along(self, direction: Array) -> Array:
         """Return (k,) B along one (n,) direction of alpha, without all of B."""

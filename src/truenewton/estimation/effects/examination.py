@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -70,6 +71,11 @@ class ExaminedFit:
     structure: Structure | None = None
     correlated: bool = False
     explained: bool = False
+
+    @cached_property
+    def rows(self) -> FittedRows:
+        """The rows at the fit, whose readings are independent."""
+        return FittedRows(self.problem, self.moments, self.minimum, independent=True)
 
     @property
     def freedom(self) -> float:
@@ -232,7 +238,9 @@ def _cured(
     """
     now, first = start, start
     for _ in range(MAX_EFFECTS):
-        fit = FittedRows(now.problem, now.moments, now.minimum, independent)
+        fit = now.rows
+        if not independent:
+            fit = FittedRows(now.problem, now.moments, now.minimum, independent)
         found = named(fit)
         shared = within and not now.effects  # noise, or what such an effect does
         if shared:
@@ -310,8 +318,7 @@ def _correlated(start: ExaminedFit, effects: tuple[Finding, ...]) -> ExaminedFit
 
     Where it is slow each file has zeros of its own, which shapes do not feel but statics do.
     """
-    fit = FittedRows(start.problem, start.moments, start.minimum, independent=True)
-    moved = correction(fit, ZEROS_OF_EACH)
+    moved = correction(start.rows, ZEROS_OF_EACH)
     found = Finding(
         code=Code.CORRELATED_NOISE,
         probability=1.0 - start.probability,

@@ -1,23 +1,23 @@
-"""What effects on readings do: g = h(row) e(group, actuator), a block of actuators after the other.
+"""Effects on readings, g = h(row) e(group, actuator), summed over blocks of actuators.
 
-K functions h of a row, and a field e. All that depends on actuators is linear or square in e, so
-one pass over the means of groups tells it for all h: for effects that all actuators share, sums
-over actuators, three numbers and a vector a group. No array of all groups is made, since the means
-are as large as a campaign's distinct shapes, and what is made stays in the cache.
+An effect changes a reading by its size times g, where h is one of K functions of the row and e a
+field. All that its tests need is linear or quadratic in e. So one pass over the means of groups
+gives it for all h of several fields; for effects that all actuators share it gives sums over
+actuators, a force and two torques of each group. No array of all groups is made, since the means
+are as large as the distinct shapes of a campaign, and each block stays in the cache.
 
-Effects on readings with fewer parameters: of single actuators, or counted from their mean.
-
-A driver fails, a coil loses turns: actuator by actuator, what pooled rows leave of the readings
-tells, by U_t' M_tt^-1 U_t of its parameters, chi^2 (`score_test`). Those that stand out have
-parameters, the others none, so that alpha is no less sure for what might have happened to them.
+Effects on single actuators, for example a driver that fails: what pooled rows leave of its readings
+gives chi^2 = U_t' M_tt^-1 U_t of each actuator (`score_test`). Only actuators that stand out get
+parameters; otherwise the error of every actuator would grow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy.sparse
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -31,56 +31,46 @@ from truenewton.estimation.effects.derivative import (
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
 
+Some = slice | NDArray[np.intp]
+"""Some of the actuators."""
+
 
 @dataclass(frozen=True, eq=False)
-class RowFunctions:
-    """K functions h of a row, on which an effect on readings depends.
+class Field:
+    """A field e, and K functions h of a row by which readings may change along it.
 
     Attributes
     ----------
+    values
+        Makes (g, b) e of some actuators from their (g, b) c^ as recorded [N]; (g, 1) if it is
+        the same for all.
     first
         (K, g) weighted sums of h over the rows of each group.
     within
-        How many of them, the first, are those of `moments.WithinGroups`; the others are the same
-        for all rows of a group.
+        Number of functions, the first ones, that differ within a group (`moments.WithinGroups`).
+    each
+        Number of functions, the first ones, whose sums are needed of each actuator.
+    gain
+        Whether e is -c^, and -c_mean within a group; then noise biases the score. Otherwise e is 1
+        within a group.
     """
 
+    values: Callable[[Some, Array], Array]
     first: Array
     within: int = 0
-
-
-def always(moments: Moments) -> RowFunctions:
-    """Return the one that is 1 in all rows."""
-    return RowFunctions(moments.weight[None])
-
-
-def row_functions(moments: Moments, of_groups: Array) -> RowFunctions:
-    """Return those by which rows of one group differ, then (K, g) that groups have as a whole."""
-    first = moments.within.first * (moments.weight > 0)
-    return RowFunctions(np.vstack([first, of_groups * moments.weight]), len(first))
-
-
-@dataclass(frozen=True)
-class Field:
-    """E of an effect on readings.
-
-    Attributes
-    ----------
-    name
-        By which it is known.
-    values
-        Makes (g, b) e of some actuators at a fit; (g, 1) where it is the same for all.
-    gain
-        Whether e is -c^, which noise reaches, and -c_mean where rows of one group differ; else it
-        is 1 there.
-    """
-
-    name: str
-    values: Callable[[FittedRows, slice], Array]
+    each: int = 0
     gain: bool = False
 
-    def own(self, within: WithinGroups, some: slice = slice(None)) -> Array:
-        """Return (g, b) e as the rows of a group have it, or (g, 1)."""
+    def at(self, fit: FittedRows, some: Some = slice(None)) -> Array:
+        """Return (g, b) or (g, 1) e of some actuators."""
+        return self.values(some, fit.recorded(some))
+
+    def mean(self, moments: Moments) -> Array:
+        """Return (K, g) mean h of the rows of each group."""
+        return np.asarray(self.first / np.where(moments.weight > 0, moments.weight, 1.0))
+
+    def own(self, within: WithinGroups, some: Some = slice(None)) -> Array:
+        """Return (g, b) or (g, 1) e by which the rows of a group differ."""
         return -within.mean[:, some] if self.gain else np.ones((len(within.mean), 1))
 
     def sums(self, within: WithinGroups) -> Array:
@@ -88,31 +78,35 @@ class Field:
         return -within.gain if self.gain else within.zero
 
 
-ZERO = Field("zero", lambda fit, _: np.ones((len(fit.moments.mean), 1)))
-GAIN = Field("gain", lambda fit, some: -fit.recorded(some), gain=True)
+def functions_with(moments: Moments, of_groups: Array) -> Array:
+    """Return first moments of the h by file and by hour, then of (K, g) that groups share."""
+    of_rows = moments.within.first * (moments.weight > 0)
+    return np.vstack([of_rows, of_groups * moments.weight])
 
 
 @dataclass(frozen=True, eq=False)
-class OnReadings:
-    """What an effect on readings does, for K functions h, for the first k with a size of each.
+class FieldSums:
+    """Sums over the rows of a fit, of a field with K functions h of k different means.
 
     Attributes
     ----------
-    functions, field
-        Its h and e.
+    field
+        The field.
+    kind
+        (K,) which of the k means a function has: those of several files are often the same.
     jacobian
-        (R, 3, K) J, were its parameters those of all actuators.
+        (R, 3, k) J of parameters that all actuators share.
     score, information
-        (K,) and (K, K) of what pooled rows leave, then.
+        (K,) and (K, K) of what pooled rows leave, of such parameters.
     each_score, each_information
-        (k, n) and (k, k, n) of each actuator.
+        (each, n) and (each, each, n) of parameters of each actuator.
     each_square, each_pull
-        (k, k, n) sums over the R rows of products of U' r h e, and (3, k, n) of the same times
-        S^-1/2 rho.
+        (k, k, n) sums over the R rows of products of U' r h e, and (3, k, n) of S^-1/2 rho times
+        U' r h e, of the means of the first ``each`` functions.
     """
 
-    functions: RowFunctions
     field: Field
+    kind: NDArray[np.intp]
     jacobian: Array
     score: Array
     information: Array
@@ -122,98 +116,111 @@ class OnReadings:
     each_pull: Array
 
 
-def on_readings(fit: FittedRows, functions: RowFunctions, field: Field, k: int = 0) -> OnReadings:
-    """Return what an effect on readings does; of the first k functions actuator by actuator.
-
-    Between groups e is taken at the fit; within them, where a gain changes, it is -c_mean.
-    """
-    moments, n, first, within = fit.moments, fit.problem.n, functions.first, fit.moments.within
-    g, mean = first.shape[1], means(moments, functions)
-    # Of several files they are often the same: then all groups of a load have rows of each.
-    kinds: dict[bytes, int] = {}
-    kind = np.array([kinds.setdefault(h.tobytes(), len(kinds)) for h in mean])
-    pools = [moments.pooling.weighed(np.frombuffer(h)) for h in kinds]
-    told, square, own_square, pulled = np.zeros(g), np.zeros(g), np.zeros(g), np.zeros((g, 3))
-    between = np.zeros((len(kinds), len(kinds)))
-    each_score, each_pull = np.zeros((k, n)), np.zeros((3, k, n))
-    each_information, each_square = np.zeros((2, k, k, n))
-    white_rho, weights = fit.white_rho.reshape(-1, 3), 1.0 / fit.problem.noise.variance
-    for some in blocks_of_actuators(fit):
-        e = field.values(fit, some)
-        if fit.independent:
-            off = e * fit.apart(some)
-            told += off @ weights[some]
-            if k:
-                each_score[:, some] = -(first[:k] @ off)
-        weigh, arms = weights[some], fit.scaled_arms[:, some]
-        if e.shape[1] == 1:  # the same for all actuators: once
-            if some.start:
-                continue
-            some = slice(None)
-            weigh = weights.sum(keepdims=True)
-            arms = fit.scaled_arms.sum(axis=1, keepdims=True)
-        pulled += e @ arms.T
-        rows = np.stack([pool @ e for pool in pools])  # (kinds, R, b)
-        flat = (len(kinds), -1)
-        between += (rows * weigh).reshape(flat) @ rows.reshape(flat).T
-        if k:
-            mine = rows[kind[:k]]
-            each_square[:, :, some] = np.einsum("krb,lrb->klb", mine, mine)
-            each_pull[:, :, some] = np.moveaxis(white_rho.T @ mine, 1, 0)
-        if not fit.independent:
-            continue
-        e_squared = np.square(e, out=e)
-        square += e_squared @ weigh
-        own = field.own(within, some) ** 2 if functions.within else None
-        if own is not None:
-            own_square += own @ weigh
-        if k:
-            spread = np.stack([(mean[:k] * h) @ e_squared for h in first[:k]])
-            if own is not None:
-                spread += _apart(moments, functions, k, own)
-            each_information[:, :, some] = spread
-    noise = fit.problem.noise.variance
-    score, information = np.zeros(len(first)), np.zeros((len(first),) * 2)
-    if fit.independent:
-        each_information -= each_square
-        score -= first @ told
-        information += (mean * square) @ first.T - between[kind][:, kind]
-        if functions.within:
-            information += _apart(moments, functions, len(first), own_square[:, None])[:, :, 0]
-            sums = field.sums(within)
-            score[: functions.within] -= sums @ weights
-            if k:
-                each_score -= sums[:k]
-    jacobian = np.stack([pool @ pulled for pool in pools], axis=2)[:, :, kind]
-    return OnReadings(
-        functions, field, -jacobian, score, information, each_score / noise,
-        each_information / noise, each_square, each_pull,
-    )  # fmt: skip
-
-
-def blocks_of_actuators(fit: FittedRows) -> Iterator[slice]:
-    """Cut actuators into slices whose groups stay in the cache."""
+def field_sums(fit: FittedRows, fields: Sequence[Field]) -> list[FieldSums]:
+    """Return the sums of some fields, in one pass over blocks of actuators."""
+    passes = [_FieldPass(fit, one) for one in fields]
     step = max(1, 2**17 // len(fit.moments.mean))
     for start in range(0, fit.problem.n, step):
-        yield slice(start, min(start + step, fit.problem.n))
+        some = slice(start, min(start + step, fit.problem.n))
+        fitted = fit.fitted(some)
+        recorded = fit.recorded(some, fitted)
+        apart = fit.apart(some, fitted) if fit.independent else None
+        for one in passes:
+            one.add(some, recorded, apart)
+    return [one.result() for one in passes]
 
 
-def means(moments: Moments, functions: RowFunctions) -> Array:
-    """Return (K, g) mean h of the rows of each group."""
-    return np.asarray(functions.first / np.where(moments.weight > 0, moments.weight, 1.0))
+class _FieldPass:
+    """Sums of one field over the blocks of actuators so far.
 
-
-def _apart(moments: Moments, functions: RowFunctions, k: int, own: Array) -> Array:
-    """Return sums of products of the first k h, less those of their means, times (g, b) values.
-
-    (k, k, b); 0 for those that are the same for all rows of a group.
+    Between groups e is that of the fit; within a group it is `Field.own`.
     """
-    apart, some = np.zeros((k, k, own.shape[1])), min(k, functions.within)
-    mean, counted = means(moments, functions)[:some], moments.weight > 0
-    for row in range(some):
-        products = moments.within.products(row)[:some] * counted - mean * functions.first[row]
-        apart[row, :some] = products @ own
-    return apart
+
+    def __init__(self, fit: FittedRows, field: Field) -> None:
+        self.fit, self.field, self.weights = fit, field, 1.0 / fit.problem.noise.variance
+        moments, n, g = fit.moments, fit.problem.n, len(fit.moments.mean)
+        kinds: dict[bytes, int] = {}
+        means = field.mean(moments)
+        self.kind = np.array([kinds.setdefault(h.tobytes(), len(kinds)) for h in means])
+        self.mean = np.array([np.frombuffer(h) for h in kinds])
+        self.within = moments.within.counted(moments.weight > 0)
+        weighed = [moments.pooling.weighed(h) for h in self.mean]
+        self.pool = scipy.sparse.vstack(weighed, format="csr")
+        k = 1 + int(self.kind[: field.each].max(initial=-1))  # kinds that are needed of each
+        self.first = self.mean[:k] * moments.weight
+        self.told, self.square, self.own_square = np.zeros((3, g))
+        self.pulled, self.between = np.zeros((g, 3)), np.zeros((len(kinds), len(kinds)))
+        self.each_score, self.each_pull = np.zeros((k, n)), np.zeros((3, k, n))
+        self.each_square = np.zeros((k, k, n))
+        self.each_information = np.zeros((field.each, field.each, n))
+
+    def add(self, some: slice, recorded: Array, apart: Array | None) -> None:
+        """Add a block of actuators, from (g, b) c^ and what pooled rows leave of the means [N]."""
+        fit, k = self.fit, len(self.first)
+        e = self.field.values(some, recorded)
+        weights, arms = self.weights[some], fit.scaled_arms[:, some]
+        if apart is not None:
+            off = e * apart
+            self.told += off @ weights
+            self.each_score[:, some] = -(self.first @ off)
+        if e.shape[1] == 1:  # the same for all actuators: once
+            if some.start:
+                return
+            some = slice(None)
+            weights = self.weights.sum(keepdims=True)
+            arms = fit.scaled_arms.sum(axis=1, keepdims=True)
+        self.pulled += e @ arms.T
+        rows = (self.pool @ e).reshape(len(self.mean), -1, e.shape[1])
+        square = np.einsum("krb,lrb->klb", rows, rows)
+        self.between += square @ weights
+        if k:
+            pull = fit.white_rho.reshape(-1, 3).T @ rows[:k]
+            self.each_square[:, :, some] = square[:k, :k]
+            self.each_pull[:, :, some] = np.moveaxis(pull, 1, 0)
+        if apart is not None:
+            self._add_structure(some, e, weights)
+
+    def _add_structure(self, some: slice, e: Array, weights: Array) -> None:
+        """Add the information of what pooled rows leave; e is overwritten."""
+        each = self.field.each
+        spread = np.square(e, out=e)
+        self.square += spread @ weights
+        if self.field.within:
+            own = np.square(self.field.own(self.within, some))
+            self.own_square += own @ weights
+            spread -= own
+        if not each:
+            return
+        kind = self.kind[:each]
+        between = np.stack([(h * self.first) @ spread for h in self.mean[: len(self.first)]])
+        information = between[kind][:, kind]
+        if self.field.within:
+            information += self.within.second(own)[:each, :each]
+        self.each_information[:, :, some] = information
+
+    def result(self) -> FieldSums:
+        """Return the sums over all actuators."""
+        fit, field, kind = self.fit, self.field, self.kind
+        noise, each = fit.problem.noise.variance, self.kind[: self.field.each]
+        first, within, w = field.first, self.within, slice(0, field.within)
+        score, information = np.zeros(len(first)), np.zeros((len(first),) * 2)
+        each_score = self.each_score[each]
+        if fit.independent:
+            mean = self.mean[kind]
+            score -= first @ self.told
+            information += (mean * self.square) @ first.T - self.between[kind][:, kind]
+            self.each_information -= self.each_square[each][:, each]
+            if field.within:
+                information[w, w] += within.second(self.own_square[:, None])[:, :, 0]
+                information[w, w] -= (mean[w] * self.own_square) @ first[w].T
+                sums = field.sums(within)
+                score[w] -= sums @ self.weights
+                each_score -= sums[: field.each]
+        jacobian = -(self.pool @ self.pulled).reshape(len(self.mean), -1, 3)
+        return FieldSums(
+            field, kind, np.moveaxis(jacobian, 0, 2), score, information, each_score / noise,
+            self.each_information / noise, self.each_square, self.each_pull,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,20 +257,20 @@ def from_mean(weight: Array) -> Array:
     return np.asarray(np.eye(k) - np.outer(np.ones(k), weight / weight.sum()))
 
 
-def derivative_of(fit: FittedRows, effect: OnReadings, sizes: Sizes) -> Derivative:
+def derivative_of(fit: FittedRows, effect: FieldSums, sizes: Sizes) -> Derivative:
     """Return the derivative of an effect on readings by its sizes, in the order (K, actuators)."""
     chosen, n = sizes.functions, fit.problem.n
     k = chosen.stop - chosen.start
     mix = np.eye(k) if sizes.mix is None else sizes.mix
     some = slice(None) if sizes.actuators is None else sizes.actuators
-    trace = mix.T @ effect.functions.first[chosen] @ fit.moments.pooling.squared_lengths
+    trace = mix.T @ effect.field.first[chosen] @ fit.moments.pooling.squared_lengths
 
     def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
         if sizes.direction is not None:
             theta = without_direction(theta, sizes.direction)
         size = np.zeros((k, n))
         size[:, some] = mix @ theta.reshape(k, -1)
-        return problem, without(fit, before, effect, chosen, size)
+        return problem, without(fit, before, effect.field, chosen, size)
 
     def feigns() -> tuple[Array, float]:
         if not sizes.each:
@@ -271,23 +278,25 @@ def derivative_of(fit: FittedRows, effect: OnReadings, sizes: Sizes) -> Derivati
         return (trace[:, None, None] * fit.feigned_by_each(some)).reshape(-1, n), 0.0
 
     feigned = feigns if effect.field.gain else None
+    kinds = np.eye(effect.jacobian.shape[2])[effect.kind[chosen]].T @ mix
     if not sizes.each:
         return Derivative(
             k,
             remove,
-            jacobian=effect.jacobian[:, :, chosen] @ mix,
+            jacobian=effect.jacobian @ kinds,
             score=mix.T @ effect.score[chosen],
             information=mix.T @ effect.information[chosen, chosen] @ mix,
             feigns=feigned,
         )
     arms = fit.scaled_arms[:, some]
     pulled = fit.root @ arms
-    pull = mix.T @ effect.each_pull[:, chosen][:, :, some]
-    square = np.einsum("kkn->kn", mixed(mix, effect.each_square[chosen, chosen][:, :, some]))
+    kinds = kinds[: len(effect.each_square)]
+    pull = kinds.T @ effect.each_pull[:, :, some]
+    square = np.einsum("ak,abn,bk->kn", kinds, effect.each_square[:, :, some], kinds, optimize=True)
 
     def rows() -> Array:
-        h = mix.T @ means(fit.moments, effect.functions)[chosen]
-        values = effect.field.values(fit, slice(None))[:, some]
+        h = mix.T @ effect.field.mean(fit.moments)[chosen]
+        values = effect.field.at(fit, some)
         made = np.empty((len(fit.fitted_rows), k, arms.shape[1]))
         for index, one in enumerate(h):
             made[:, index] = fit.moments.pooling.weighed(one) @ values
@@ -315,23 +324,21 @@ def mixed(mix: Array, values: Array) -> Array:
     return np.asarray(np.einsum("kl,kmn,mo->lon", mix, values, mix, optimize=True))
 
 
-def without(
-    fit: FittedRows, moments: Moments, effect: OnReadings, chosen: slice, size: Array
-) -> Moments:
-    """Return moments without an effect on readings of (K, n) sizes of some functions."""
-    functions, field, counted = effect.functions, effect.field, moments.weight > 0
-    shift = means(moments, functions)[chosen].T @ size
-    mean, within = moments.mean - shift * field.values(fit, slice(None)), moments.within
-    if chosen.start >= functions.within:
+def without(fit: FittedRows, moments: Moments, field: Field, chosen: slice, size: Array) -> Moments:
+    """Return moments without an effect of (K, n) sizes of some functions of a field."""
+    within = moments.within
+    shift = field.mean(moments)[chosen].T @ size
+    mean = moments.mean - shift * field.at(fit)
+    if chosen.start >= field.within:
         return replace(moments, mean=mean)
     own, sums = field.own(within), field.sums(within)
     sizes = np.zeros((len(within.first), size.shape[1]))
     sizes[chosen] = size
     scatter = moments.scatter - 2.0 * np.sum(size * sums[chosen], axis=0)
     zeros, gains = within.zero.copy(), within.gain.copy()
-    for index, first in enumerate(within.first):
-        together = within.products(index) * counted
-        apart = (together.T @ sizes - (first * counted)[:, None] * shift) * own
+    counted = within.counted(moments.weight > 0)
+    for index, first in enumerate(counted.first):
+        apart = (counted.products(index).T @ sizes - first[:, None] * shift) * own
         zeros[index] -= apart.sum(axis=0)
         gains[index] -= np.sum(apart * within.mean, axis=0)
         scatter += sizes[index] * np.sum(apart * own, axis=0)
@@ -352,7 +359,7 @@ def chi2_of_each(score: Array, information: Array) -> tuple[Array, NDArray[np.in
     return np.sum(each, axis=1), np.count_nonzero(held, axis=1)
 
 
-def standing_out(effect: OnReadings, chosen: slice, mix: Array) -> NDArray[np.intp]:
+def standing_out(effect: FieldSums, chosen: slice, mix: Array) -> NDArray[np.intp]:
     """Return whose scores chance does not make, of some functions with a (K, K) mix of sizes."""
     information = mixed(mix, effect.each_information[chosen, chosen])
     if not information.any():

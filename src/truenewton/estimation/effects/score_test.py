@@ -36,7 +36,7 @@ import scipy.special
 
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, chance_of_any, f_logsf
-from truenewton.estimation.effects.catalogue import CATALOGUE, Effect
+from truenewton.estimation.effects.catalogue import CATALOGUE, FIELDS, Effect, sum_fields
 from truenewton.estimation.effects.derivative import (
     Derivative,
     FittedRows,
@@ -104,6 +104,8 @@ def there(found: Sequence[EffectTest], sound: int = 0) -> list[EffectTest]:
 
 
 def _derivatives(fit: FittedRows) -> Iterator[tuple[Effect, Derivative]]:
+    z = fit.moments.displacement
+    sum_fields(fit, [name for name in FIELDS if name != "displacement" or z is not None])
     for effect in CATALOGUE:
         derivative = effect.derivative(fit)
         if derivative is not None and derivative.count:

@@ -25,11 +25,10 @@ from truenewton.estimation.effects.derivative import Derivative, FittedRows, sco
 from truenewton.estimation.effects.examination import ExaminedFit
 from truenewton.estimation.effects.readings import (
     Field,
-    RowFunctions,
     Sizes,
-    always,
+    Some,
     derivative_of,
-    on_readings,
+    field_sums,
 )
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import (
@@ -53,12 +52,11 @@ def static_gain(fit: FittedRows) -> Derivative | None:
     of_load = moments.of_load * moments.weight[:, None]
     share = (of_load / of_load.sum(axis=0)).T
 
-    def elastic(at: FittedRows, some: slice) -> Array:
-        fitted = at.fitted(some)
+    def elastic(_: Some, fitted: Array) -> Array:
         return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
 
-    field = Field("elastic", elastic)
-    return derivative_of(fit, on_readings(fit, always(moments), field, 1), Sizes(each=True))
+    sums = field_sums(fit, [Field(elastic, moments.weight[None], each=1)])
+    return derivative_of(fit, sums[0], Sizes(each=True))
 
 
 def borne(fit: FittedRows) -> Derivative:
@@ -82,20 +80,19 @@ def with_magnets_unsure(left: ExaminedFit) -> Minimum:
     """
     minimum = left.minimum
     lost = [e.size for e in left.effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
-    fit = FittedRows(left.problem, left.moments, minimum, independent=True)
-    derivative = warmer_magnets(fit) if lost else None
+    derivative = warmer_magnets(left.rows) if lost else None
     if derivative is None:
         return minimum
     warmer = (lost[0] / MAGNET_COEFFICIENT) ** 2 * np.eye(derivative.count)
-    return with_error(minimum, scored(fit, derivative).moves, warmer)
+    return with_error(minimum, scored(left.rows, derivative).moves, warmer)
 
 
 def zero_by_load(fit: FittedRows) -> Derivative:
     """Move the zero of all readings under each load but the first."""
     size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
-    rows = RowFunctions((fit.moments.of_load * fit.moments.weight[:, None]).T[1:])
-    field = Field("zero", lambda at, _: np.full((len(at.moments.mean), 1), size))
-    return derivative_of(fit, on_readings(fit, rows, field), Sizes(slice(0, len(rows.first))))
+    rows = (fit.moments.of_load * fit.moments.weight[:, None]).T[1:]
+    field = Field(lambda *_: np.full((len(fit.moments.mean), 1), size), rows)
+    return derivative_of(fit, field_sums(fit, [field])[0], Sizes(slice(0, len(rows))))
 
 
 def _up(fit: FittedRows) -> Array:
@@ -115,7 +112,7 @@ UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
 def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
     """Return what the data cannot show would do to the common scale, the largest first."""
     found = list[UnseenError]()
-    fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
+    fit = left.rows
     # Of a relative change of all: alpha -> alpha (1 + e).
     direction = fit.alpha / (fit.alpha @ fit.alpha)
     for name, derivative_at in UNDETECTABLE_EFFECTS.items():
@@ -146,7 +143,7 @@ def with_positions_unsure(left: ExaminedFit) -> Minimum:
         return left.minimum
     if any(effect.code == POSITIONS.code for effect in left.effects):
         return left.minimum  # they are unknowns already
-    fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
+    fit = left.rows
     taken_out = correction(fit, POSITIONS)
     if taken_out is not None:
         return taken_out.minimum

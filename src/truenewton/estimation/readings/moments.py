@@ -128,6 +128,7 @@ class Pooling:
         """Return (R, g) U' r f, f a (g,) factor."""
         weighed, heavy = self._transposed.copy(), self.weight * factor
         weighed.data *= heavy[weighed.indices]
+        weighed.eliminate_zeros()
         return weighed
 
     def rows(self, values: Array) -> Array:
@@ -214,6 +215,11 @@ class WithinGroups:
         """(files + 1, g) weighted sums of h."""
         return np.vstack([self.weight, self.hour.sum(axis=0)])
 
+    def counted(self, groups: NDArray[np.bool_]) -> WithinGroups:
+        """Return the same with the rows of (g,) some groups only; sums over all rows stay."""
+        weight, hour, square = self.weight * groups, self.hour * groups, self.square * groups
+        return replace(self, weight=weight, hour=hour, square=square)
+
     def products(self, index: int) -> Array:
         """Return (files + 1, g) weighted sums of h times one of the h."""
         files = len(self.weight)
@@ -222,6 +228,15 @@ class WithinGroups:
         products = np.zeros_like(self.first)
         products[index], products[files] = self.weight[index], self.hour[index]
         return products
+
+    def second(self, values: Array) -> Array:
+        """Return (files + 1, files + 1, b) weighted sums of products of two h, times (g, b)."""
+        files = np.arange(len(self.weight))
+        sums = np.zeros((len(files) + 1, len(files) + 1, values.shape[1]))
+        sums[files, files] = self.weight @ values
+        sums[files, -1] = sums[-1, files] = self.hour @ values
+        sums[-1, -1] = self.square @ values
+        return sums
 
 
 @dataclass(frozen=True, eq=False)
