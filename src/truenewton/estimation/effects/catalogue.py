@@ -116,7 +116,7 @@ def _bend(fit: FittedRows, bent: Callable[[Array], Array]) -> Field:
 
 def _displacement(fit: FittedRows) -> Field:
     """Return g = -c^ z in all rows."""
-    z = fit.moments.displacement
+    z = np.asarray(fit.moments.displacement)
     return Field(lambda some, c: -c * z[:, some], fit.moments.weight[None])
 
 
