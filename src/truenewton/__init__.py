@@ -64,13 +64,13 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.recalibration.fit import recalibrate as recalibrate
     from truenewton.records.campaign import Campaign as Campaign
     from truenewton.records.cycle import Cycle as Cycle
+    from truenewton.records.cycle import Segment as Segment
     from truenewton.records.file import Averaged as Averaged
     from truenewton.records.file import averaged as averaged
     from truenewton.records.file import write_campaign as write_campaign
     from truenewton.records.file import write_cycle as write_cycle
     from truenewton.records.file import write_stiffness as write_stiffness
     from truenewton.records.parts import Parts as Parts
-    from truenewton.records.segment import Segment as Segment
     from truenewton.records.segmented import SegmentedData as SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix as StiffnessMatrix
     from truenewton.report.change import change as change
@@ -122,10 +122,9 @@ _NAMES = {
     "reading": ["read", "read_calibration", "read_campaign", "read_stiffness"],
     "recalibration.fit": ["recalibrate"],
     "records.campaign": ["Campaign"],
-    "records.cycle": ["Cycle"],
+    "records.cycle": ["Cycle", "Segment"],
     "records.file": ["Averaged", "averaged", "write_campaign", "write_cycle", "write_stiffness"],
     "records.parts": ["Parts"],
-    "records.segment": ["Segment"],
     "records.segmented": ["SegmentedData"],
     "records.stiffness_matrix": ["StiffnessMatrix"],
     "report.change": ["change"],

@@ -1,7 +1,7 @@
-"""One tree of errors; each says in one line what is wrong, where, and what to do.
+"""All errors: each states in one line what is wrong, where, and what to do.
 
-An error carries its parts as values (``path``, ``fault``, ``remedy``, ``got``, ``want``), so that
-programs need not parse the sentence that people read.
+The parts of the sentence are attributes (``path``, ``fault``, ``remedy``, ``got``, ``want``), for
+programs.
 """
 
 from __future__ import annotations
@@ -12,10 +12,7 @@ from typing import Any, NamedTuple, Self
 
 
 def printable(text: str) -> str:
-    """Return a text in one line, its control characters escaped.
-
-    Names that come from files may hold line breaks, or what commands a terminal.
-    """
+    """Return a text in one line, with control characters escaped: file names may contain any."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
@@ -31,7 +28,7 @@ class TrueNewtonError(Exception):
     path
         The file or folder concerned, if any.
     got, want
-        The offending value and what was expected instead, if they can be told.
+        The offending value and what was expected instead, if known.
 
     Examples
     --------
@@ -58,42 +55,39 @@ class TrueNewtonError(Exception):
         super().__init__(printable(f"{where}{fault}{then}"))
 
     def changed(self, **parts: Any) -> Self:
-        """Return the same error, but for some of fault, remedy, path, got and want."""
+        """Return a copy with some of fault, remedy, path, got and want changed."""
         return type(self)(**{**vars(self), **parts})
 
 
 class Fault(NamedTuple):
-    """What is wrong with data or a result, and what mends it: clauses without a full stop.
-
-    The remedy is empty where there is nothing to be done.
-    """
+    """What is wrong with data or a result, and its remedy, which may be empty."""
 
     fault: str
     remedy: str
 
 
 class UnreadableFile(TrueNewtonError, OSError):
-    """A path that cannot be opened, is not FITS, is truncated, or fails its checksum."""
+    """A file that cannot be opened, is truncated, is of another format, or fails its checksum."""
 
 
 class FormatError(TrueNewtonError, ValueError):
-    """A FITS file that breaks its contract: a keyword, column, unit or value."""
+    """Data with an invalid keyword, column, unit or value."""
 
 
 class CampaignMismatch(TrueNewtonError, ValueError):
-    """Files, or a bench and its plan, that cannot belong to one campaign."""
+    """Files, or a bench and its plan, that do not belong to the same campaign or mirror."""
 
 
 class RankDeficient(TrueNewtonError, ValueError):
-    """Data that cannot fix what is asked of them; the remedy names what to add."""
+    """Data that do not determine the unknowns; the remedy names what to add."""
 
 
 class GeometryError(TrueNewtonError, ValueError):
-    """A layout or a shell that cannot be."""
+    """An impossible layout or shell."""
 
 
 class LimitExceeded(TrueNewtonError, ValueError):
-    """A force or stroke beyond what the mirror may bear."""
+    """A force or stroke beyond the limits of the mirror."""
 
 
 class UnknownName(TrueNewtonError, LookupError):
@@ -101,15 +95,15 @@ class UnknownName(TrueNewtonError, LookupError):
 
 
 class OutputExists(TrueNewtonError, FileExistsError):
-    """An output that stands already and was not to be overwritten."""
+    """An output that exists and was not to be overwritten."""
 
 
 class OutputFailed(TrueNewtonError, OSError):
-    """An output that could not be written; nothing was left in its place."""
+    """An output that could not be written; no partial file is left."""
 
 
 class TooManyOutliers(TrueNewtonError, ValueError):
-    """A campaign in which so many rows do not belong that the rest cannot be trusted."""
+    """A campaign with so many outliers that the other rows cannot be trusted."""
 
 
 class NotToBeUsed(TrueNewtonError, ValueError):
@@ -121,36 +115,34 @@ class TrueNewtonWarning(UserWarning):
 
 
 class NotConverged(TrueNewtonError, ArithmeticError):
-    """An iteration that does not settle."""
+    """An iteration that does not converge."""
 
 
 class ClusterFailed(TrueNewtonError, RuntimeError):
-    """A cluster that is not there, or whose workers cannot do their part."""
+    """A cluster that does not answer, or workers that cannot do their task."""
 
 
 class BenchFault(TrueNewtonError, RuntimeError):
-    """A bench that stopped itself, went away, or gives no sound readings."""
+    """A bench that stopped, lost its connection, or gives invalid readings."""
 
 
 class LoopUnstable(BenchFault):
-    """Gains that the loop cannot hold: refused beforehand, or found out as its noise grows."""
+    """Loop gains that are unstable: by calculation, or because the noise grows."""
 
 
 class Interrupted(TrueNewtonError):
-    """A run that someone stopped; what it took is kept."""
+    """A run that was stopped; complete cycles are kept."""
 
 
 def located(error: TrueNewtonError, path: object) -> TrueNewtonError:
-    """Return the same error, naming the file it came from."""
+    """Return the error with a path, unless it has one."""
     return error if error.path is not None else error.changed(path=path)
 
 
 @contextlib.contextmanager
 def naming(path: object) -> Iterator[None]:
-    """Let the errors of a block name the file that they are about, unless they name another."""
+    """Add a path to the errors raised in a block, unless they have one."""
     try:
         yield
     except TrueNewtonError as error:
-        if error.path is not None or path is None:
-            raise
-        raise error.changed(path=path) from error.__cause__
+        raise located(error, path) from error.__cause__

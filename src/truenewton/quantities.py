@@ -1,8 +1,7 @@
-"""Quantities: each is declared once, next to the record that holds it, with its unit and range.
+"""Quantities: each is declared once, next to its record, with its unit and range.
 
-A class declares them as ``QUANTITIES``, by the names of its fields. `convert_quantities` takes off
-the units that a caller gives. `check_quantities` refuses numbers out of their range, where data
-enter.
+A class declares them as ``QUANTITIES``, by the names of its fields. `convert_quantities` converts
+numbers with units, `check_quantities` refuses numbers outside their range.
 """
 
 from __future__ import annotations
@@ -25,18 +24,17 @@ MAX_MAGNITUDE = 1e15  # of any number in SI units, stiff glass included: its squ
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a number means.
+    """The unit and range of a number, and the error of a number outside that range.
 
     Attributes
     ----------
     unit
-        In which the record keeps it; '' of plain numbers.
+        Unit in the record; '' of plain numbers.
     low, high
-        Between which it lies, both included.
-    why
-        What to do about a number outside; by default what the range says.
-    fault
-        What is wrong then, as 'ADDED is {:g} N'; by default the name of the field and the number.
+        Range, limits included.
+    why, fault
+        Remedy and fault of a number outside, as 'ADDED is {:g} N'; by default made from the range
+        and the name of the field.
     """
 
     unit: str = ""
@@ -46,12 +44,7 @@ class Quantity:
     fault: str = ""
 
     def check(self, value: Any, name: str = "") -> None:
-        """Refuse a number, or (nested) tuple of numbers, of which one is outside the range.
-
-        Raises
-        ------
-        FormatError
-        """
+        """Raise FormatError if a number, or one in a nested tuple, is outside the range."""
         if -self.low == self.high == np.inf:  # any number, NaN where it is unknown
             return
         for number in _numbers(value):
@@ -77,7 +70,7 @@ class Quantity:
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """Yield a number, or those in tuples of tuples."""
+    """Yield a number, or the numbers in nested tuples."""
     if isinstance(value, tuple):
         for part in value:
             yield from _numbers(part)
@@ -86,12 +79,12 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def convert_quantities(record: object) -> None:
-    """Take units off the quantities of a frozen dataclass, while it is made.
+    """Convert the quantities of a frozen dataclass to plain numbers, while it is made.
 
     Raises
     ------
     FormatError
-        One is in a unit of another kind.
+        A unit does not convert.
     """
     kinds = {field.name: str(field.type) for field in fields(record)}  # type: ignore[arg-type]
     for name, quantity in type(record).QUANTITIES.items():  # type: ignore[attr-defined]
@@ -104,20 +97,10 @@ def convert_quantities(record: object) -> None:
 
 
 def check_quantities(record: object, inside: str = "") -> None:
-    """Refuse the first number of a record that is out of its range; those of records in it, too.
+    """Raise FormatError for the first number outside its range in a record and the records in it.
 
-    A field's default is always allowed. Arrays are left to the record, which knows their rows.
-
-    Parameters
-    ----------
-    record
-        Of a class with QUANTITIES, or with fields that are such records.
-    inside
-        Put before the names of fields in messages.
-
-    Raises
-    ------
-    FormatError
+    A field's default is always allowed. A record checks its arrays itself, as invalid rows may
+    contain anything. Messages name fields with ``inside`` before their names.
     """
     kind = type(record)
     for name, quantity in getattr(kind, "QUANTITIES", {}).items():
@@ -131,23 +114,15 @@ def check_quantities(record: object, inside: str = "") -> None:
 
 
 def in_unit(value: Any, unit: str, name: str) -> Any:
-    """Return a number or (...,) numbers without their unit, in the one wanted.
+    """Return a number or (...,) numbers converted to a unit, as plain numbers; masks are kept.
 
-    What has no unit is taken as it stands. Masks stay.
-
-    Parameters
-    ----------
-    value
-        A Quantity, a list of them, a column of a table, or plain numbers.
-    unit
-        Wanted; '' of what has none.
-    name
-        Of the value, for people.
+    ``value`` is a Quantity, a list of them, a column of a table, or plain numbers, which are
+    returned unchanged.
 
     Raises
     ------
     FormatError
-        It is in a unit of another kind.
+        The unit does not convert; the message contains ``name``.
     """
     if isinstance(value, list | tuple) and any(getattr(one, "unit", None) for one in value):
         import astropy.units as u
@@ -175,23 +150,17 @@ def in_unit(value: Any, unit: str, name: str) -> Any:
 def taking_units(
     **units: str,
 ) -> Callable[[Callable[Given, Returned]], Callable[Given, Returned]]:
-    """Decorate a function so that it takes some arguments as Quantities too: in these units."""
+    """Decorate a function: the arguments named are converted to these units (`in_unit`)."""
 
     def decorate(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
-        names = list(inspect.signature(function).parameters)
+        signature = inspect.signature(function)
 
         @functools.wraps(function)
         def call(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
-            plain: Any = [
-                in_unit(value, units[name], name) if name in units else value
-                for name, value in zip(names, args, strict=False)
-            ]
-            named: Any = {
-                name: in_unit(value, units[name], name) if name in units else value
-                for name, value in kwargs.items()
-            }
-            plain += args[len(plain) :]
-            return function(*plain, **named)
+            bound = signature.bind(*args, **kwargs)
+            for name in [name for name in units if name in bound.arguments]:
+                bound.arguments[name] = in_unit(bound.arguments[name], units[name], name)
+            return function(*bound.args, **bound.kwargs)
 
         return call
 
@@ -199,12 +168,12 @@ def taking_units(
 
 
 def mask_of(value: Any) -> NDArray[np.bool_] | None:
-    """Return the (...,) mask of masked numbers; None where nothing is masked."""
+    """Return the (...,) mask of masked numbers; None if nothing is masked."""
     mask = getattr(value, "mask", None)
     return np.asarray(mask, dtype=np.bool_) if mask is not None and np.any(mask) else None
 
 
 def other_unit(name: str, has: str, want: str) -> FormatError:
-    """Return the refusal of a value in a unit that does not convert to the one wanted."""
-    remedy = f"give it in {want}, or in what converts to that" if want else "give plain numbers"
+    """Return the error of a value in a unit that does not convert to the one wanted."""
+    remedy = f"give it in {want} or a unit that converts to it" if want else "give plain numbers"
     return FormatError(f"{name.upper()} is in {has}", remedy=remedy, got=has, want=want)

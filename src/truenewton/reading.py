@@ -1,21 +1,37 @@
-"""One door for every file: what a path holds decides what comes back."""
+"""Reading: the files at some paths become a campaign, a stiffness matrix or a calibration."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
 from truenewton.calibration.result import CALIBRATIONS, AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client, each
-from truenewton.errors import Fault, FormatError, TrueNewtonError, located
+from truenewton.errors import (
+    Fault,
+    FormatError,
+    TrueNewtonError,
+    UnreadableFile,
+    naming,
+)
+from truenewton.files.content import FitsFile, Table
+from truenewton.files.hdf5 import STREAM
+from truenewton.files.stored_rows import StoredRows
 from truenewton.records.campaign import Campaign
-from truenewton.records.file import fits_paths, read_file, stiffness_from
+from truenewton.records.cycle import Cycle
+from truenewton.records.file import (
+    cycle_from,
+    fits_paths,
+    holds_cycle,
+    read_file,
+    stiffness_from,
+)
 from truenewton.records.parts import InParts, Parts, body_or_parts_from, has_parts
-from truenewton.records.reader import open_by_worker, open_file
 from truenewton.records.segmented import SegmentedData, in_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -23,18 +39,19 @@ if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
 AnyPath = str | os.PathLike[str]
-IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
+IN_MEMORY = 2**28  # bytes; FORCE and POSITION of files that are larger in total stay on disk
 Body = Campaign | StiffnessMatrix | Calibration  # of a mirror in one piece
 Read = Body | SegmentedData | Parts[Calibration]
 Part = TypeVar("Part")
-KINDS: dict[type, tuple[str, str]] = {  # what paths hold, and what reads it
-    Campaign: ("cycles", "read_campaign"),
+Kind = TypeVar("Kind", bound=Body)
+KINDS: dict[type, tuple[str, str]] = {  # what files contain, and the function that reads them
+    Campaign: ("a campaign", "read_campaign"),
     StiffnessMatrix: ("a stiffness matrix", "read_stiffness"),
     Calibration: ("a calibration", "read_calibration"),
     SegmentedData: ("data of several segments", "read"),
     Parts: ("a calibration of several segments", "read"),
 }
-FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to do with it
+FOREIGN = {  # extensions of files that cannot be calibrated: what the file is, and what to do
     "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
     "MODES": Fault(
         "is a modal base", "give what it was made from, or the .commanded.fits beside it"
@@ -43,10 +60,67 @@ FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to 
         "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
     ),
     "CALIBRATION": Fault(
-        "is a calibration file among others",
-        "give it alone, or two of them to `report`: {} is none",
+        "is a calibration file among others", "give it alone, or two calibrations to `report`"
     ),
 }
+
+
+class Opened(NamedTuple):
+    """A file that was read, and its cycle or what is wrong with that; None for other files.
+
+    The fault is raised after all files are opened, since a file of another kind is reported first.
+    """
+
+    file: FitsFile
+    cycle: Cycle | TrueNewtonError | None
+
+    def require_cycle(self) -> Cycle:
+        """Return the cycle."""
+        if isinstance(self.cycle, TrueNewtonError):
+            raise self.cycle
+        return cycle_from(self.file) if self.cycle is None else self.cycle
+
+
+def open_file(path: AnyPath, *, whole: bool) -> Opened:
+    """Open a file; if not whole, vector columns stay on disk."""
+    return _opened(read_file(path, whole=whole), whole=True)
+
+
+def open_by_worker(names: tuple[str, str]) -> Opened:
+    """Open a file by its absolute path, and name it by the second one in messages."""
+    path, name = names
+    try:
+        return _opened(replace(read_file(path, whole=False), path=name), whole=False)
+    except TrueNewtonError as error:
+        raise error.changed(path=name) from None
+
+
+def _opened(file: FitsFile, *, whole: bool) -> Opened:
+    """Return a file with its cycle; if not whole, means of samples stay in the file."""
+    if not holds_cycle(file):
+        return Opened(file, None)
+    # Columns of samples are as long as the stream; the cycle contains what is needed of them.
+    light = {n: Table(0, {}) if n == STREAM else part for n, part in file.extensions.items()}
+    kept = replace(file, extensions=light)
+    try:
+        cycle = cycle_from(file, whole=whole)
+        if not whole:
+            _require_stored(cycle)
+            cycle.stroke  # noqa: B018  # reads POSITION here, not where all files are needed
+    except UnreadableFile:
+        raise
+    except TrueNewtonError as error:
+        return Opened(kept, error.changed(path=file.path))
+    return Opened(kept, cycle)
+
+
+def _require_stored(cycle: Cycle) -> None:
+    if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
+        raise FormatError(
+            "is gzipped, or FORCE or POSITION has TSCAL or TDIM: workers cannot read parts of it",
+            remedy="write it anew with write_cycle, or calibrate without a cluster",
+            path=cycle.name,
+        )
 
 
 def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> Read:
@@ -55,16 +129,16 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     Parameters
     ----------
     paths
-        Folders of cycle files and single files, or lists of them; a stiffness file may stand among
+        Folders of cycle files and single files, or lists of them; one stiffness file may be among
         cycle files.
     client
-        A `dask.distributed.Client`, whose workers read the files, a file each, and leave rows where
-        they are (docs/cluster.md).
+        A `dask.distributed.Client`: its workers read one file each, and rows stay in the files
+        (docs/cluster.md).
 
     Returns
     -------
     Campaign, StiffnessMatrix or Calibration
-        By what the files hold; of a mirror in several segments SegmentedData or Parts.
+        Depending on the files; of a mirror in several segments SegmentedData or Parts.
 
     Raises
     ------
@@ -97,6 +171,21 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
             matrix = stiffness_from(files[0])
             return SegmentedData(stiffness=matrix) if matrix.layout.segments else matrix
     matrices = [file for file in files if "STIFFNESS" in file.extensions]
+    _refuse_foreign(files, matrices)
+    cycles = tuple(one.require_cycle() for one in opened if one.file not in matrices)
+    beside = stiffness_from(matrices[0]) if matrices else None
+    return SegmentedData(cycles, beside) if in_segments(cycles) else Campaign(cycles, beside)
+
+
+def _flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:
+    """Return paths and lists of paths as one list."""
+    return [
+        one for path in paths for one in ([path] if isinstance(path, str | os.PathLike) else path)
+    ]
+
+
+def _refuse_foreign(files: list[FitsFile], matrices: list[FitsFile]) -> None:
+    """Raise FormatError for a file that does not belong to a campaign."""
     for file in files:
         faults = [fault for name, fault in FOREIGN.items() if name in file.extensions]
         if file.header.get("CTYPE2") == "ACTUATOR":
@@ -105,20 +194,12 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
             ]
         if file in matrices[1:]:
             faults += [Fault("is a second stiffness file among others", "give it alone")]
-        if faults:
-            other = next((f.path for f in files if "CALIBRATION" not in f.extensions), "this")
-            raise FormatError(
-                faults[0].fault, remedy=faults[0].remedy.format(other), path=file.path
-            )
-    cycles = tuple(one.require_cycle() for one in opened if one.file not in matrices)
-    beside = stiffness_from(matrices[0]) if matrices else None
-    if in_segments(cycles):
-        return SegmentedData(cycles, beside)
-    return Campaign(cycles, beside)
+        for fault, remedy in faults:
+            raise FormatError(fault, remedy=remedy, path=file.path)
 
 
 def holds_alpha(data: object) -> TypeIs[AnyCalibration]:
-    """Tell whether something is a calibration, of one body or of several segments."""
+    """Return whether something is a calibration, of one body or of several segments."""
     return isinstance(data, Calibration | Parts)
 
 
@@ -127,40 +208,34 @@ def select_segment(data: InParts[Part], number: int | None, path: object) -> Par
 @overload
 def select_segment(data: Part, number: int | None, path: object) -> Part: ...
 def select_segment(data: Any, number: int | None, path: object) -> Any:
-    """Return what there is of one segment; what is of a mirror in one piece as it is.
+    """Return the data of one segment; data of a mirror in one piece are returned unchanged.
 
     Raises
     ------
     FormatError
-        There are several segments and none is chosen, or one is chosen of a mirror in one piece.
+        There are several segments and none is chosen, or the data are not of the one chosen.
     UnknownName, GeometryError, RankDeficient
-        There is no such segment, or nothing of it.
+        There is no such segment, or there are no data of it.
     """
-    if has_parts(data):
-        if number is None:
-            first = data.numbers[0]
-            raise FormatError(
-                f"has {len(data.numbers)} segments, and this takes one at a time",
-                remedy=f"choose it by its number: --segment {first}, or part({first}) in Python",
-                path=path,
-            )
-        try:
-            return data.part(number)
-        except TrueNewtonError as error:
-            raise located(error, path) from None
-    if number is not None:
+    if not has_parts(data):
         _require_number(data, number, path)
-    return data
+        return data
+    if number is None:
+        first = data.numbers[0]
+        raise FormatError(
+            f"has {len(data.numbers)} segments, and this takes one at a time",
+            remedy=f"choose it by its number: --segment {first}, or part({first}) in Python",
+            path=path,
+        )
+    with naming(path):
+        return data.part(number)
 
 
-def _require_number(data: Any, number: int, path: object) -> None:
-    """Refuse data of one body that are not of this segment.
-
-    Raises
-    ------
-    FormatError
-    """
-    if isinstance(data, Calibration):  # of one segment, its instrument alone says which
+def _require_number(data: Any, number: int | None, path: object) -> None:
+    """Raise FormatError if data of one body are not of this segment."""
+    if number is None:
+        return
+    if isinstance(data, Calibration):  # only its instrument contains the number
         _, of, said = data.instrument.rpartition(" segment ")
         own = int(said) if of and said.isdecimal() else number
     elif data.layout.segment is None:
@@ -176,12 +251,7 @@ def _require_number(data: Any, number: int, path: object) -> None:
 
 
 def read_chosen(*paths: AnyPath, segment: int | None = None, client: Client | None = None) -> Read:
-    """Read, as ``read``; of several segments one, if it is chosen, else all.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, CampaignMismatch, UnknownName, GeometryError, RankDeficient
-    """
+    """Read as `read`, and return one segment if it is chosen, otherwise all."""
     data = read(*paths, client=client)
     return data if segment is None else select_segment(data, segment, paths[0])
 
@@ -189,12 +259,7 @@ def read_chosen(*paths: AnyPath, segment: int | None = None, client: Client | No
 def read_data(
     *paths: AnyPath, segment: int | None = None, client: Client | None = None
 ) -> Campaign | StiffnessMatrix | SegmentedData:
-    """Read what can be calibrated: as ``read_chosen``, but a calibration is refused.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, CampaignMismatch, UnknownName, GeometryError
-    """
+    """Read as `read_chosen`, and refuse a calibration."""
     data = read_chosen(*paths, segment=segment, client=client)
     if holds_alpha(data):
         raise FormatError(
@@ -203,8 +268,20 @@ def read_data(
     return data
 
 
+def _required(data: Read, wanted: type[Kind], remedy: str, path: object) -> Kind:
+    """Return data if they are of the class wanted, otherwise raise FormatError."""
+    if isinstance(data, wanted):
+        return data
+    kind, reader = KINDS[type(data)]
+    raise FormatError(
+        f"is not {KINDS[wanted][0]}, but {kind}",
+        remedy=f"{remedy}, or read it with {reader} in Python",
+        path=path,
+    )
+
+
 def read_campaign(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> Campaign:
-    """Read a campaign, as ``read``, and nothing else.
+    """Read a campaign; other data are refused.
 
     Parameters
     ----------
@@ -221,9 +298,7 @@ def read_campaign(*paths: AnyPath | Iterable[AnyPath], client: Client | None = N
     <Campaign of P45: 45 actuators, 2 cycles under bare, ring>
     """
     data = read(*paths, client=client)
-    if not isinstance(data, Campaign):
-        raise _another(data, "campaign", "give cycle files or their folder", paths)
-    return data
+    return _required(data, Campaign, "give cycle files or their folder", _flat(paths)[0])
 
 
 def read_stiffness(path: AnyPath) -> StiffnessMatrix:
@@ -244,21 +319,18 @@ def read_stiffness(path: AnyPath) -> StiffnessMatrix:
     >>> tn.read_stiffness("feedforward.fits")
     <StiffnessMatrix of P45: 45 actuators>
     """
-    data = read(path)
-    if not isinstance(data, StiffnessMatrix):
-        raise _another(data, "stiffness file", "give what `import` wrote", [path])
-    return data
+    return _required(read(path), StiffnessMatrix, "give what `import` wrote", path)
 
 
 def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibration:
-    """Read a calibration file; of a mirror in several segments, which `read` takes whole, one.
+    """Read a calibration file of one body, or one segment of several; `read` reads all segments.
 
     Parameters
     ----------
     path
-        The calibration, as `Calibration.write` writes it.
+        The calibration, as written by `Calibration.write`.
     segment
-        Number of the one.
+        Number of the segment.
 
     Raises
     ------
@@ -274,49 +346,15 @@ def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibratio
 
 
 def read_alpha(path: AnyPath, *, segment: int | None = None) -> AnyCalibration:
-    """Read a calibration file as `read_calibration`; of several segments all if none is chosen.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
-    """
+    """Read a calibration file; of several segments one if it is chosen, otherwise all."""
     data = read_chosen(path, segment=segment)
-    if not holds_alpha(data):
-        raise _another(data, "calibration", "give what `calibrate -o` wrote", [path])
-    return data
-
-
-def _another(
-    data: Read,
-    wanted: str,
-    remedy: str,
-    paths: Iterable[AnyPath | Iterable[AnyPath]],
-) -> FormatError:
-    """Return the refusal of files that hold something else than was asked for."""
-    kind, reader = KINDS[type(data)]
-    return FormatError(
-        f"is no {wanted}, but holds {kind}",
-        remedy=f"{remedy}, or this to {reader} in Python",
-        path=_flat(paths)[0],
-    )
-
-
-def _flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:
-    """Return paths one by one, where lists of them may stand among them."""
-    return [
-        one for path in paths for one in ([path] if isinstance(path, str | os.PathLike) else path)
-    ]
+    if holds_alpha(data):
+        return data
+    return _required(data, Calibration, "give what `calibrate -o` wrote", path)
 
 
 def read_calibrations(*paths: AnyPath, segment: int | None = None) -> tuple[AnyCalibration, ...]:
-    """Read several calibrations; none where one of the paths holds something else.
-
-    Of mirrors in several segments that of one, if it is chosen.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Read several calibrations, or return () if one of the paths contains something else."""
     files = [read_file(path) for path in paths if not Path(path).is_dir()]
     if len(files) < len(paths) or any("CALIBRATION" not in file.extensions for file in files):
         return ()

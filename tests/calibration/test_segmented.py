@@ -247,7 +247,7 @@ def test_a_stiffness_is_calibrated_by_segment(two, tmp_path):
         assert made.found[number].alpha == pytest.approx(other.alpha, rel=1e-7)
         codes = {each.code for each in made.found[number].findings}
         assert tn.Code.SEGMENTS_COUPLED not in codes
-    with pytest.raises(FormatError, match="of 2 segments, which balance each by itself"):
+    with pytest.raises(FormatError, match="of 2 segments, which balance separately"):
         tn.calibrate(matrix)
 
 

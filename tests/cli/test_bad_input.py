@@ -309,8 +309,11 @@ DISAGREEMENTS = {
     ),
     "ACTUATORS, enabled": (cells(A, "ENABLED", 3, False), "on the ACTUATORS table"),
     "ADDED": (keyword("ADDED", -0.51), "on ADDED (-0.51 and -0.5)"),
-    "CYCLE": (keyword("CYCLE", 1), "LOAD 'ring' has CYCLE 1 twice .. leave one out, or"),
-    "LOAD": (keyword("LOAD", "bare"), "on ADDED (-0.5 .. correct it, or LOAD: both say 'bare'"),
+    "CYCLE": (keyword("CYCLE", 1), "LOAD 'ring' has CYCLE 1 twice .. remove one, or"),
+    "LOAD": (
+        keyword("LOAD", "bare"),
+        "on ADDED (-0.5 .. correct it, or LOAD, which is 'bare'",
+    ),
     "FORCE in mN": (
         lambda hdus: hdus[M].data["FORCE"].__imul__(1e3),
         "FORCE in another unit .. correct the unit of FORCE in that file",
@@ -356,10 +359,10 @@ def test_a_fits_file_without_measurements_among_cycle_files_is_refused(folder, r
     image = fits.PrimaryHDU(np.zeros((3, 3)))
     image.writeto(folder / "map.fits")
     line = refused("calibrate", folder)
-    assert_told("map.fits: there is no table MEASUREMENTS .. there is a plain image; a camp", line)
+    assert_told("map.fits: there is no table MEASUREMENTS .. there is a plain image; give", line)
     matrix = fits.ImageHDU(np.eye(12), name="FFMATRIX")
     fits.HDUList([image, matrix]).writeto(folder / "map.fits", overwrite=True)
-    assert "FFMATRIX; a campaign holds cycle files only" in refused("calibrate", folder)
+    assert "FFMATRIX; give cycle files only" in refused("calibrate", folder)
 
 
 def matrix(values):

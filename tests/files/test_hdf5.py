@@ -18,8 +18,8 @@ from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, Unread
 from truenewton.files import stored_rows
 from truenewton.files.hdf5 import Hdf5Rows
 from truenewton.files.stored_rows import columns_of
+from truenewton.reading import open_by_worker
 from truenewton.records.file import write_campaign
-from truenewton.records.reader import open_by_worker
 from truenewton.records.samples import AveragedRows
 
 h5py = pytest.importorskip("h5py", reason="h5py, extra `hdf5`, is missing")

@@ -9,7 +9,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.estimation.findings.estimate import Sensor
 from truenewton.mirrors.known import ring
 from truenewton.records.campaign import Campaign
-from truenewton.records.source import Source
+from truenewton.records.cycle import Source
 from truenewton.statics.load import Load
 
 FINE_RING = Load("ring", -0.289, 2e-5, tool="ring A")

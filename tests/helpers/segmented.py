@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from helpers.balanced import LAYOUT, RING, campaign_of
-from truenewton.records.segment import Segment, sums_of
+from truenewton.records.cycle import Segment, sums_of
 from truenewton.statics.layout import layout
 from truenewton.statics.load import Load
 

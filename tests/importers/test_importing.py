@@ -33,9 +33,9 @@ from truenewton.errors import (
     UnreadableFile,
 )
 from truenewton.importers.importing import judge
+from truenewton.importers.inputs import supervisor_order
 from truenewton.importers.selection import positions_in
 from truenewton.importers.stored import read_stored
-from truenewton.importers.supervisor import supervisor_order
 from truenewton.rounding import percent
 from truenewton.statics.layout import ring_of
 
@@ -235,7 +235,7 @@ def test_one_sensor_without_numbers_is_left_out():
     k, bad = CASE.k.copy(), int(np.flatnonzero(~CASE.off)[20])
     k[[3, 9], bad] = np.nan
     made = tn.stiffness_from(k, XY)
-    assert f"2 elements of sensor {bad + 1} are no numbers" in text(made)
+    assert f"2 elements of sensor {bad + 1} are not numbers" in text(made)
     assert "its sensor reads nothing" in text(made)
     assert not made.matrix.stiffness[:, bad].any()
 
@@ -334,7 +334,7 @@ def test_disabled_actuators_need_no_position():
     made = tn.stiffness_from(np.ma.masked_invalid(k), np.stack([x, y]), ids=CASE.layout.id)
     assert made.matrix.layout.n == N - 2
     assert np.count_nonzero(~made.matrix.layout.enabled) == OFF - 2
-    assert "2 that are off and stand nowhere" in text(made)
+    assert "2 that are off and have no position" in text(made)
 
 
 def test_units_of_electronics_and_unlikely_units():
@@ -361,11 +361,11 @@ def scrambled():
     [
         ({"coordinates": scrambled()}, "positions are in another order than rows and columns"),
         ({"coordinates": XY[:, :-1]}, "44 positions for 45 rows and columns"),
-        ({"coordinates": None}, "no positions with it; give positions"),
+        ({"coordinates": None}, "has no positions; give positions"),
         ({"coordinates": XY[:, [*range(N - 1), 0]]}, r"two actuators stand at x = .* m: 1 and 45"),
-        ({"coordinates": XY * 100}, "in no unit that is declared; say which by --lengths"),
+        ({"coordinates": XY * 100}, "unit is not declared; give it by --lengths"),
         ({"coordinates": XY * u.s}, "unit of positions is 's'; give one as mm"),
-        ({"matrix": 1e-6 * CASE.k}, "no unit, .* is no mirror's; say which by --unit .*, as N/um"),
+        ({"matrix": 1e-6 * CASE.k}, "no unit, .* is no mirror's; give it by --unit .*, as N/um"),
         ({"matrix": CASE.k * u.N}, "unit of the matrix is 'N'; give one as N/um"),
         ({"matrix": CASE.k[:, 1:]}, "holds no square matrix"),
         ({"matrix": 1j * CASE.k}, "holds no real numbers"),
@@ -403,7 +403,7 @@ def test_polar_coordinates_are_no_x_and_y(tmp_path):
     [
         ("a.npy", b"\x93NUMPYjunk", "a.npy: cannot be read"),
         ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "a.mat: cannot be read"),
-        ("a.png", b"\x89PNG\r\n\x1a\n\0\0", "a.png: is of no kind that is read here"),
+        ("a.png", b"\x89PNG\r\n\x1a\n\0\0", "a.png: is of an unknown format"),
         (
             "a.csv",
             b"1,2,3\n4,5\n7,8,9\n",
@@ -433,7 +433,7 @@ def test_a_wide_text_file_names_the_place_of_what_is_no_number(tmp_path):
 
 
 def test_folders_and_missing_files(tmp_path):
-    with pytest.raises(FormatError, match="is a folder of no layout that is known here; give"):
+    with pytest.raises(FormatError, match="is a folder of unknown contents; give"):
         tn.stiffness_from(tmp_path)
     with pytest.raises(UnreadableFile, match="No such file"):
         tn.stiffness_from(tmp_path / "ff.fits", XY)

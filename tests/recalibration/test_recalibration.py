@@ -261,7 +261,7 @@ def test_the_command_writes_an_ordinary_calibration(inside, files, tmp_path):
     assert len(values["earlier"]) == 45
     for known, named, said in (
         (alpha, "x", "--actuators is 'x'"),
-        (after / "bare-001.fits", "17", "is no calibration"),
+        (after / "bare-001.fits", "17", "is not a calibration"),
     ):
         code, out, err = inside("recalibrate", after, "--known", known, "--actuators", named)
         assert (code, out, err.count("\n")) == (2, "", 1)

@@ -12,9 +12,9 @@ from helpers.segmented import in_one, pieces
 from truenewton.errors import CampaignMismatch, FormatError, GeometryError
 from truenewton.files.fits import read_fits
 from truenewton.files.hdf5 import Hdf5Rows
+from truenewton.reading import open_by_worker
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import cycle_from, write_campaign, write_cycle
-from truenewton.records.reader import open_by_worker
 from truenewton.statics.layout import layout
 
 
@@ -76,7 +76,7 @@ def test_samples_of_several_segments_are_averaged_to_the_same(cycles, tmp_path, 
 def test_weights_leave_the_header(path):
     assert not {"WEIGHT", "E_WEIGHT", "ADDED", "E_ADDED"} & set(fits.getheader(path))
     fits.setval(path, "WEIGHT", value=-7.0)
-    with pytest.raises(FormatError, match="WEIGHT stand both in the primary header and in SEG"):
+    with pytest.raises(FormatError, match="WEIGHT are both in the primary header and in SEG"):
         cycle_from(read_fits(path))
 
 
@@ -102,11 +102,11 @@ def with_value(column, row, value):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (None, "ACTUATORS has 3 segments, and nothing says what each weighs"),
+        (None, "ACTUATORS has 3 segments, and their weights are not given"),
         (lambda data: data[:2], "SEGMENTS has no row of 1 segment: 3"),
         (lambda data: data[:0], "SEGMENTS has no rows"),
-        (with_value("SEGMENT", 2, 7), "row of segment 7, and no actuator stands behind that"),
-        (with_value("SEGMENT", 2, 1), "segment 1 stands twice in SEGMENTS"),
+        (with_value("SEGMENT", 2, 7), "row of segment 7, which has no actuators"),
+        (with_value("SEGMENT", 2, 1), "segment 1 is twice in SEGMENTS"),
         (with_value("WEIGHT", 1, 0.0), "WEIGHT is 0 N of segment 2"),
         (with_value("ADDED", 0, 0.1), "ADDED is 0.1 N of segment 1"),
         (with_value("E_ADDED", 0, -0.1), "E_ADDED is -0.1 of segment 1"),
@@ -133,7 +133,7 @@ def test_one_segment_is_a_mirror_in_one_piece(three, tmp_path):
 
 def test_files_of_single_segments_make_the_mirror(cycles, tmp_path):
     """In any order, of some segments or of one; where one has two, they are its campaign."""
-    with pytest.raises(CampaignMismatch, match="3 segments, which balance each by itself"):
+    with pytest.raises(CampaignMismatch, match="3 segments, which balance separately"):
         Campaign(tuple(cycles))
     whole = tn.SegmentedData(tuple(cycles))
     for number in (3, 1, 2):

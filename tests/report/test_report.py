@@ -16,7 +16,7 @@ from helpers.report_data import HOSTILE, changed_by, hostile_campaign
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, UnknownName
 from truenewton.records.campaign import Campaign
-from truenewton.records.source import Source
+from truenewton.records.cycle import Source
 from truenewton.report.change import change
 from truenewton.report.investigate import investigate
 from truenewton.report.layers import calibration_layers

@@ -20,7 +20,7 @@ from helpers.tracked import (
     quiet_cycles,
 )
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
-from truenewton.records.source import Source
+from truenewton.records.cycle import Source
 from truenewton.statics.load import Load
 from truenewton.tracking.days import DatedCalibration, covariances, weight_groups
 from truenewton.tracking.family import families_from, fitted_population, most_outlying

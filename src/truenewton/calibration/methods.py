@@ -51,9 +51,9 @@ from truenewton.files.format import attributes
 from truenewton.linalg import threads
 from truenewton.progress import kept_as, tell
 from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.cycle import Source
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.segmented import SegmentedData, segment_couplings
-from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named, percent
 from truenewton.statics.layout import Layout

@@ -39,10 +39,10 @@ from truenewton.files.format import (
     TableFormat,
     quantities,
 )
+from truenewton.records.cycle import Source
 from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
 from truenewton.records.parts import Parts
 from truenewton.records.result import KINDS, Result, ResultKind, verdict_of
-from truenewton.records.source import Source
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load, check_load

@@ -1,4 +1,4 @@
-"""From a matrix and positions in people's own files to a checked stiffness matrix."""
+"""From a matrix and positions in files of other software to a checked stiffness matrix."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.methods import require_known
-from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
+from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located, naming
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import (
@@ -42,16 +42,16 @@ MAX_NAMES = 12  # of actuators in a line
 
 @dataclass(frozen=True, repr=False)
 class Imported:
-    """A stiffness matrix from other people's files.
+    """A stiffness matrix from files of other software.
 
     Attributes
     ----------
     matrix
-        As `calibrate` takes it and `write_stiffness` writes it.
+        The matrix, for `calibrate` and `write_stiffness`.
     lines
-        What was found and done: the first says of what, the others how it is.
+        What was found and done: a headline, and one line for each check.
     transposed, balanced
-        It looks stored transposed; forces balance as commanded, so that nothing tells alpha.
+        It looks transposed; commanded forces balance, so that alpha cannot be determined.
     """
 
     matrix: StiffnessMatrix
@@ -81,7 +81,7 @@ def stiffness_from(
     date: datetime.datetime | None = None,
     instrument: str | None = None,
 ) -> Imported:
-    """Make a checked stiffness matrix from a matrix and positions in other people's files.
+    """Make a checked stiffness matrix from a matrix and positions in files of other software.
 
     Parameters
     ----------
@@ -90,19 +90,20 @@ def stiffness_from(
         (FITS, .npy, .npz, CSV, text, HDF5, .mat, .sav), supervisor's or opticalib's folder.
     coordinates
         (n, 2) or (2, n) positions: an array, Quantity, layout, file, or folder of a supervisor's
-        configuration; None where they stand beside the matrix.
+        configuration; None if they are beside the matrix.
     unit, lengths
-        Units of matrix and positions, where no file declares them; 'unknown' for steps.
+        Units of matrix and positions, if no file declares them; 'unknown' for steps.
     curvature, arc
-        Radius R [m], for actuators that push along the normals; radii are measured along it.
+        Radius of curvature R [m], if actuators push along the normals; whether radii are measured
+        along the surface.
     mirror
         Rings of a known mirror, for a supervisor's folder.
     ids, dataset
-        (n,) names of rows, or a file of them; name of the matrix in a file of several.
+        (n,) IDs of rows, or a file of them; name of the matrix in a file with several.
     exclude
-        IDs of actuators that are marked as disabled, as of channels that are known to be bad.
+        IDs of actuators to disable, such as bad channels.
     shell, transpose
-        Which of several shells, from 1; the file holds the transposed matrix.
+        Number of one of several shells, from 1; whether the file contains the transposed matrix.
     date, instrument
         When it was measured (UTC), and the mirror's name.
 
@@ -117,21 +118,19 @@ def stiffness_from(
     <StiffnessMatrix of P45: 45 actuators>
     """
     given = read_given(matrix, coordinates, mirror, dataset, Surface(lengths, curvature, arc))
-    try:
+    with naming(given.path or None):
         k, rows, part = _one_shell(given.item.values, shell)
         k, unit_line = in_newton_per_metre(k, unit, given.item.unit)
         k, sign = turned_sign(k.T if transpose else k)
         ways = list(_ways(given, rows, _names(ids, given.channels)))
         when, how = date_of(given, date)
-    except TrueNewtonError as error:
-        raise located(error, given.path or None) from None
     name = instrument or given.name
     try:
         check = partial(_checked, k, name=name, when=when, exclude=exclude)
         record, judged, positions, noted = _first_that_fits(ways, check)
     except TrueNewtonError as error:
-        of_places = isinstance(error, OtherOrder | GeometryError) and given.where
-        raise located(_without_circle(error, given), of_places or given.path or None) from None
+        of_positions = isinstance(error, OtherOrder | GeometryError) and given.where
+        raise located(_naming_columns(error, given), of_positions or given.path or None) from None
     of = f"{given.which}{part}, {unit_line}{', transposed as told' if transpose else ''}"
     lines = [
         ("matrix", f"{len(k)} x {len(k)}{of}"),
@@ -153,14 +152,14 @@ def _checked(
     when: datetime.datetime,
     exclude: Sequence[int],
 ) -> Checked:
-    """Return a matrix [N/m] with its positions, judged, and lines of what of it was left out."""
+    """Return an (n, n) matrix [N/m] with its positions, checked; lines on what was left out."""
     noted: list[tuple[str, str]] = []
     silent = silent_actuators(k)
     lost = silent & _nowhere(positions, silent)
     k = np.where(silent[:, None] | silent, 0.0, k)[np.ix_(~lost, ~lost)]
     positions = positions.part(np.flatnonzero(~lost))
     if lost.any():
-        noted.append(("left out", f"{np.count_nonzero(lost)} that are off and stand nowhere"))
+        noted.append(("left out", f"{np.count_nonzero(lost)} that are off and have no position"))
     if not np.isfinite(k).all():
         k, said = _without_nan(k, positions)
         noted.append(("unread", said))
@@ -176,18 +175,19 @@ def _checked(
 
 
 def _first_that_fits(ways: list[Positions], check: Callable[[Positions], Checked]) -> Checked:
-    """Return the first of several orders of positions in which couplings follow the distance."""
+    """Return the first order of positions in which couplings follow the distance."""
     first: TrueNewtonError | None = None
     for way in ways:
         try:
             return check(way)
         except (OtherOrder, GeometryError) as error:
             first = first or error
-    raise first or FormatError("there are no positions with it")
+    assert first is not None  # as there is at least one
+    raise first
 
 
-def _without_circle(error: TrueNewtonError, given: Given) -> TrueNewtonError:
-    """Return an error of the order with a remedy for positions that have no IDs to be matched."""
+def _naming_columns(error: TrueNewtonError, given: Given) -> TrueNewtonError:
+    """Return an error of the order with a remedy for positions without IDs: name a column ID."""
     positions = given.positions
     if not isinstance(error, OtherOrder) or positions is None or positions.ids is not None:
         return error
@@ -197,9 +197,9 @@ def _without_circle(error: TrueNewtonError, given: Given) -> TrueNewtonError:
 
 
 def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int64] | None, str]:
-    """Return the matrix of one shell, its rows among all, and which it is, in words.
+    """Return the matrix of one shell, its rows and a text that names it.
 
-    Shells are separate where nothing couples them; each balances by itself.
+    Shells are not coupled; each balances separately.
     """
     if values.ndim == 3:
         shells = [np.arange(values.shape[1]) + s * values.shape[1] for s in range(len(values))]
@@ -217,7 +217,7 @@ def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int6
     if shell is None or not 1 <= shell <= len(shells):
         sizes = ", ".join(str(len(rows)) for rows in shells)
         raise FormatError(
-            f"holds {len(shells)} separate shells, of {sizes} actuators: each balances by itself",
+            f"contains {len(shells)} separate shells, of {sizes} actuators",
             remedy=f"choose one by --shell 1 .. {len(shells)} (shell=)",
         )
     return matrices[shell - 1], shells[shell - 1], f", shell {shell} of {len(shells)}"
@@ -226,7 +226,7 @@ def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int6
 def _names(
     ids: PathLike | Sequence[int] | None, channels: NDArray[np.int64] | None
 ) -> NDArray[np.int64] | None:
-    """Return the names of the rows, or None."""
+    """Return the IDs of the rows, or None."""
     if ids is None:
         return channels
     if isinstance(ids, str | os.PathLike):
@@ -236,14 +236,14 @@ def _names(
     else:
         values = np.asarray(ids, dtype=float)
     if not values.size or not np.array_equal(values, np.round(values)):
-        raise FormatError("IDs are no whole numbers", remedy="give a whole number for each row")
+        raise FormatError("IDs are not integers", remedy="give an integer for each row")
     return values.astype(np.int64)
 
 
 def _ways(
     given: Given, rows: NDArray[np.int64] | None, names: NDArray[np.int64] | None
 ) -> Iterator[Positions]:
-    """Yield the positions of the rows: as they stand, then in other orders that may be meant."""
+    """Yield the positions of the rows: as given, then in other possible orders."""
     first = _positions_of(given, given.positions, rows, names)
     yield first
     if given.by_ring is not None:
@@ -261,10 +261,10 @@ def _positions_of(
     rows: NDArray[np.int64] | None,
     names: NDArray[np.int64] | None,
 ) -> Positions:
-    """Return the positions of the rows of a matrix, or of some of them."""
+    """Return the positions of the rows of a matrix, or of those of one shell."""
     if positions is None:
         remedy = "give positions: columns X and Y, an (n, 2) array, or --mirror (mirror=)"
-        raise FormatError("there are no positions with it", remedy=remedy)
+        raise FormatError("has no positions", remedy=remedy)
     n_all = given.item.values[..., 0].size
     if names is not None and len(names) != n_all:
         raise FormatError(
@@ -300,7 +300,7 @@ def _positions_of(
 
 
 def _nowhere(positions: Positions, silent: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return (n,) which positions are not known, or are also those of an actuator that counts."""
+    """Return (n,) true for positions that are unknown, or those of another actuator and silent."""
     places = np.round([positions.x / 1e-9, positions.y / 1e-9])
     unknown = ~np.isfinite(places).all(axis=0)
     _, first, count = np.unique(
@@ -311,7 +311,7 @@ def _nowhere(positions: Positions, silent: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 def _without_nan(k: Array, positions: Positions) -> tuple[Array, str]:
-    """Return a matrix without the one sensor or actuator of which it has NaN, and what was done."""
+    """Return an (n, n) matrix without the one sensor or actuator that has NaN, and a text."""
     wrong = ~np.isfinite(k)
     ids = positions.ids if positions.ids is not None else np.arange(1, len(k) + 1)
     sensors, actuators = wrong.any(axis=0), wrong.any(axis=1)
@@ -326,7 +326,7 @@ def _without_nan(k: Array, positions: Positions) -> tuple[Array, str]:
     of = f"{'sensor' if one is sensors else 'actuator'} {ids[one][0]}"
     count = np.count_nonzero(wrong)
     half = "column" if one is sensors else "row"
-    said = f"{count} elements of {of} are no numbers: its {half} set to zero"
+    said = f"{count} elements of {of} are not numbers: its {half} is set to zero"
     k = k.copy()
     (k.T if one is sensors else k)[one] = 0.0
     return k, said
@@ -337,9 +337,10 @@ class OtherOrder(FormatError):
 
 
 class Judged(NamedTuple):
-    """What was found: lines of what, and how it is; which actuators are off; is it turned.
+    """The checks of a matrix.
 
-    Balanced are forces as commanded, so that nothing tells alpha.
+    ``lines`` are pairs of name and text, ``off`` (n,) true for actuators that are off; for
+    ``transposed`` and ``balanced`` see `Imported`.
     """
 
     lines: tuple[tuple[str, str], ...]
@@ -352,13 +353,13 @@ Checked = tuple[StiffnessMatrix, Judged, Positions, list[tuple[str, str]]]
 
 
 def silent_actuators(k: Array) -> NDArray[np.bool_]:
-    """Return (n,) whether row and column of an (n, n) matrix hold nothing: zeros, or NaN."""
+    """Return (n,) true if row and column of an (n, n) matrix contain only zeros or NaN."""
     empty = ~(np.isfinite(k) & (k != 0.0))
     return np.asarray(empty.all(axis=0) & empty.all(axis=1))
 
 
 def turned_sign(k: Array) -> tuple[Array, str]:
-    """Return an (n, n) stiffness whose actuators resist their displacement, and what was done."""
+    """Return an (n, n) stiffness with a positive diagonal, and a text on its sign."""
     own = np.diag(k)
     against = np.count_nonzero(own < 0.0)
     if against <= np.count_nonzero(own > 0.0):
@@ -367,7 +368,7 @@ def turned_sign(k: Array) -> tuple[Array, str]:
 
 
 def judge(matrix: StiffnessMatrix) -> Judged:
-    """Judge orientation, order and single actuators of a matrix."""
+    """Check orientation, order and single actuators of a matrix."""
     refuse_compliance(MatrixFacts.of(matrix), matrix.layout)
     matrix = released(matrix)
     measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
@@ -380,7 +381,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     if share < MIN_ORDER_SHARE and len(k) >= 20:
         raise OtherOrder(
             f"positions are in another order than rows and columns: {100 * max(share, 0.0):.0f} %"
-            " of the couplings follow the distance, where a mirror's do to 80 %",
+            " of the couplings follow the distance (usual: 80 %)",
             remedy="put them in the order of the matrix, or match them by ID (--ids)",
             got=share,
         )

@@ -1,10 +1,23 @@
-"""What was given to import: read, positions in metres, and when it was measured."""
+"""The input of an import: arrays, files, or the folder of a supervisor or of opticalib.
+
+The supervisor of the LBT's and Magellan's secondaries writes: `ff_matrix.fits` (m, m) [N/m], the
+feed-forward matrix, forces of actuators in rows; `ff_list.fits`, the m channels of the electronics;
+`ff_f_svec.fits`, `ff_p_svec.fits` and `ff_sval.fits`, its singular vectors as columns, and values,
+softest first: matrix = f_svec diag(sval) p_svec'. TRACKNUM is in their headers. In
+`act2mir_act.txt`, each channel has the number of its actuator, ring by ring from the innermost:
+number k (from 0) of ring r (from 1) with n actuators is at 90 deg + (k - r) 360 deg / n from x to
+y. `shell.txt` describes the rings. `act_coordinates.fits` contains positions of the channels, in mm
+along the curved surface.
+
+A configuration folder of opticalib has `ActuatorsCoordinates.fits` (n, 2) [mm], beside which `ff`
+of its mirror was saved as `ff_matrix.fits`.
+"""
 
 from __future__ import annotations
 
 import datetime
 import os
-from collections.abc import Mapping
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, UnreadableFile, naming
+from truenewton.arrays import Array
+from truenewton.errors import FormatError, naming
 from truenewton.importers.selection import (
     Positions,
     Surface,
@@ -20,65 +34,54 @@ from truenewton.importers.selection import (
     matrix_in,
     positions_in,
     positions_of,
-    there_is,
+    read_positions,
 )
-from truenewton.importers.stored import Item, Stored, plain, read_stored
-from truenewton.importers.supervisor import (
-    CHANNELS,
-    MATRIX,
-    NUMBERS,
-    POSITIONS,
-    TRACK_NUMBER,
-    channels_of,
-    find_file,
-    numbers_of,
-    of_channels,
-    places_of,
-)
-from truenewton.statics.layout import Layout
+from truenewton.importers.stored import Item, Stored, plain, read_stored, text_of
+from truenewton.statics.layout import Layout, layout, ring_of
 
-NAME = "MIRROR"  # where nothing tells it
+MATRIX, CHANNELS = "ff_matrix.fits", "ff_list.fits"
+TRACK_NUMBER = re.compile(r"(\d{4})(\d\d)(\d\d)_(\d\d)(\d\d)(\d\d)")
+NUMBERS, SHELL, POSITIONS = "act2mir_act.txt", "shell.txt", "act_coordinates.fits"
+NAME = "MIRROR"  # if it is unknown
 OPTICALIB_POSITIONS = "ActuatorsCoordinates.fits"
 
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What was given.
+    """The input of an import.
 
     Attributes
     ----------
-    item
-        The matrix as it stands.
-    path, kind
-        Its file or folder, or ''; which layout that is, in words.
-    which
-        Of several matrices of its file, in words.
-    header
-        Of its file.
+    item, which
+        The matrix as stored; a text that names it if its file has several.
+    stored
+        Its file.
+    kind, path
+        A text on the kind of folder, and its path; or '', and the path of the file.
     positions, where
         In metres, or None; their file, or ''.
     channels
-        (n,) names of its rows, or None.
+        (n,) IDs of the rows, or None.
     by_ring
-        Positions if their file counts as the supervisor does, or None.
+        Positions if their file is in the supervisor's order of rings, or None.
     """
 
     item: Item
-    path: str
-    kind: str
-    header: Mapping[str, Any]
-    positions: Positions | None
-    where: str
-    which: str = ""
+    which: str
+    stored: Stored
+    kind: str = ""
+    path: str = ""
+    positions: Positions | None = None
+    where: str = ""
     channels: NDArray[np.int64] | None = None
     by_ring: Positions | None = None
 
     @property
     def name(self) -> str:
-        """INSTRUME, or the name of the file; a track number is none."""
+        """INSTRUME, or the name of the file unless it is a track number."""
         stem = Path(self.path).stem
         named = "" if TRACK_NUMBER.search(stem) else stem
-        return str(self.header.get("INSTRUME") or named or NAME)
+        return str(self.stored.header.get("INSTRUME") or named or NAME)
 
 
 def read_given(
@@ -86,43 +89,32 @@ def read_given(
 ) -> Given:
     """Read arrays, files or a folder, as `stiffness_from` takes them."""
     if not isinstance(matrix, str | os.PathLike):
-        unit = str(getattr(matrix, "unit", "") or "")
         values = plain(getattr(matrix, "value", matrix))
         if values is None:
             raise FormatError("the matrix holds no real numbers", remedy="give an (n, n) array")
-        stored = Stored("", {"": Item(values, unit)})
-        item, which = matrix_in(stored, None)
+        stored = Stored("", {"": Item(values, str(getattr(matrix, "unit", "") or ""))})
     elif Path(matrix).is_dir():
         return _in_folder(Path(matrix), coordinates, mirror, dataset, surface)
     else:
         stored = read_stored(matrix)
-        item, which = matrix_in(stored, dataset)
-    where, found = "", coordinates if coordinates is not None else mirror
+    item, which = matrix_in(stored, dataset)
+    found: Any = coordinates if coordinates is not None else mirror
+    where = ""
     if isinstance(found, str | os.PathLike):
-        where = os.fspath(found)
-        if Path(where).is_dir():
-            raise UnreadableFile("is a folder", remedy="give a file of positions", path=where)
-        places_file = read_stored(where)
-        found = positions_in(places_file)
-        if found is None:
-            remedy = f"give columns X and Y, or an (n, 2) or (2, n) array; {there_is(places_file)}"
-            raise FormatError("holds no positions", remedy=remedy, path=where)
+        found, where = read_positions(found), os.fspath(found)
     elif found is None:
         found, where = positions_in(stored), stored.path
     positions = _in_metres(found, where, surface)
-    return Given(item, stored.path, "", stored.header, positions, where, which)
+    return Given(item, which, stored, "", stored.path, positions, where)
 
 
 def _in_folder(
     path: Path, coordinates: Any, mirror: Layout | None, dataset: str | None, surface: Surface
 ) -> Given:
-    """Read a supervisor's folder, or a configuration folder of opticalib.
-
-    Positions are in a file of their own, or in the folder, or in one of the configuration.
-    """
+    """Read a supervisor's folder, or a configuration folder of opticalib."""
     if not (path / MATRIX).is_file():
         raise FormatError(
-            "is a folder of no layout that is known here",
+            "is a folder of unknown contents",
             remedy=f"give the matrix itself, or a folder with {MATRIX} and {CHANNELS}, or with"
             f" {MATRIX} and {OPTICALIB_POSITIONS}",
             path=path,
@@ -130,27 +122,25 @@ def _in_folder(
     stored = read_stored(path / MATRIX)
     item, which = matrix_in(stored, dataset)
     own = Path(coordinates) if isinstance(coordinates, str | os.PathLike) else None
-    conf, file = (own, None) if own is not None and own.is_dir() else (None, own)
-    found: Any = coordinates
+    conf = own if own is not None and own.is_dir() else None
+    file, found = (own, coordinates) if conf is None else (None, None)
     if file is not None:
-        found = positions_in(read_stored(file))
-    elif conf is not None:
-        found = None
+        found = read_positions(file)
     kind, how, channels, by_ring = "opticalib's configuration", "", None, None
     if (path / CHANNELS).is_file():
         kind, channels = "a supervisor's folder", channels_of(path)
-        if found is None and file is None:
+        if found is None:
             found, file, how = places_of(path, conf, mirror, channels)
-        elif file is not None and found is not None:
+        elif file is not None:
             every, found = found, of_channels(found, channels, file)
             numbers = find_file(NUMBERS, path)
             if found is not every and numbers is not None:
                 by_ring = of_channels(every, numbers_of(channels, numbers), file)
-    elif found is None and file is None:
+    elif found is None:
         file = find_file(OPTICALIB_POSITIONS, path, conf)
-        found = mirror if file is None else positions_in(read_stored(file))
+        found = mirror if file is None else read_positions(file)
     if file is not None and file.name == POSITIONS:
-        surface = Surface(surface.lengths or "mm", surface.curvature, True)
+        surface = replace(surface, lengths=surface.lengths or "mm", arc=True)
     where = os.fspath(file or "")
     positions, by_ring = (_in_metres(each, where, surface) for each in (found, by_ring))
     if by_ring is not None:
@@ -158,20 +148,12 @@ def _in_folder(
     if positions is not None and how:
         positions = replace(positions, notes=(how, *positions.notes))
     return Given(
-        item,
-        os.fspath(path),
-        f", {kind}",
-        stored.header,
-        positions,
-        where,
-        which,
-        channels,
-        by_ring,
+        item, which, stored, f", {kind}", os.fspath(path), positions, where, channels, by_ring
     )
 
 
 def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
-    """Return positions in metres of what was found: in a file, a layout, an array or nothing."""
+    """Return positions in metres, of those in a file, a layout, an array, or None."""
     if found is None:
         return None
     if isinstance(found, Layout):
@@ -184,11 +166,164 @@ def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
         return in_metres(found, surface)
 
 
+def find_file(name: str, *folders: Path | None) -> Path | None:
+    """Return the first file of a name in folders or up to two levels below."""
+    for folder in folders:
+        if folder is not None and folder.is_dir():
+            for pattern in (name, f"*/{name}", f"*/*/{name}"):
+                if found := sorted(folder.glob(pattern)):
+                    return found[0]
+    return None
+
+
+def only_array(path: str | os.PathLike[str]) -> Item:
+    """Return the only array of a file, without axes of length 1."""
+    arrays = read_stored(path).arrays
+    if len(arrays) != 1:
+        raise FormatError(
+            f"holds {len(arrays)} arrays", remedy="give one with one array", path=path
+        )
+    (item,) = arrays.values()
+    return Item(np.squeeze(item.values), item.unit)
+
+
+def channels_of(folder: Path) -> NDArray[np.int64]:
+    """Return the (m,) channels of a folder's matrix."""
+    return _whole_numbers(np.atleast_1d(only_array(folder / CHANNELS).values), folder / CHANNELS)
+
+
+def places_of(
+    folder: Path, conf: Path | None, mirror: Layout | None, channels: NDArray[np.int64]
+) -> tuple[Positions | Layout, Path, str]:
+    """Return positions of (m,) channels, their file, and a text on how they were found."""
+    numbers = find_file(NUMBERS, folder, conf)
+    shell = find_file(SHELL, folder, conf)
+    given = find_file(POSITIONS, folder, conf)
+    if mirror is None and given is not None:
+        places = read_positions(given)
+        return of_channels(places, channels, given), given, "radii along the surface, in mm"
+    if numbers is None:
+        raise FormatError(
+            "contains no positions of its channels",
+            remedy=f"give positions of the channels, or a folder with {POSITIONS}, or with"
+            f" {NUMBERS} and {SHELL} (or --mirror)",
+            path=folder,
+        )
+    mine = numbers_of(channels, numbers)
+    if mirror is None and shell is None:
+        raise FormatError(
+            f"there is {NUMBERS}, but no {SHELL}",
+            remedy=f"give its folder, or the mirror by --mirror (mirror=), or {POSITIONS}",
+            path=folder,
+        )
+    every = mirror if mirror is not None else shell_layout(shell)  # type: ignore[arg-type]
+    if mine.max() >= every.n:
+        channel = channels[mine == mine.max()][0]
+        raise FormatError(
+            f"channel {channel} is actuator {mine.max()} of the rings, which have {every.n}",
+            remedy="give the mirror that it is",
+            path=numbers,
+        )
+    at = supervisor_order(every)[mine]
+    of = layout(every.x[at], every.y[at], nz=every.nz[at], id=channels)
+    return of, numbers, "by the rings " + ("of the mirror" if mirror is not None else f"of {SHELL}")
+
+
+def numbers_of(channels: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
+    """Return (m,) numbers, ring by ring, of channels, by a supervisor's table."""
+    ring_number = _whole_numbers(only_array(path).values.ravel(), path)
+    if channels.max() >= len(ring_number):
+        raise FormatError(
+            f"has {len(ring_number)} channels, {CHANNELS} names channel {channels.max()}",
+            remedy="give that of the same mirror",
+            path=path,
+        )
+    return ring_number[channels]
+
+
+def supervisor_order(rings: Layout) -> NDArray[np.int64]:
+    """Return (n,) index in a layout of rings of each number of the supervisor."""
+    ring = ring_of(rings)
+    order = []
+    for r in range(1, int(ring.max()) + 2):
+        members = np.flatnonzero(ring == r - 1)
+        n = len(members)
+        turn = 2 * np.pi / n
+        expected = np.pi / 2 + (np.arange(n) - r) * turn
+        angle = np.arctan2(rings.y[members], rings.x[members])
+        steps = np.round((expected[:, None] - angle) / turn, 6) % n
+        at = np.argmin(np.minimum(steps, n - steps), axis=1)
+        off = np.minimum(steps, n - steps)[np.arange(n), at]
+        if off.max() > 0.1 or np.unique(at).size != n:
+            raise FormatError(
+                f"ring {r} of the mirror has no actuator on its +y axis, or is not even",
+                remedy=f"give positions of the channels, as {POSITIONS}",
+            )
+        order.append(members[at])
+    return np.concatenate(order)
+
+
+def shell_layout(path: Path) -> Layout:
+    """Return the rings of a shell.txt, from the innermost, counter-clockwise from +y."""
+    text = re.sub("[;#].*", "", text_of(path))
+    try:
+        counts = [int(n) for n in _numbers_in(text, "n_act_ring")]
+        angles, first = (np.radians(_numbers_in(text, f"angle_{of}")) for of in ("ring", "act0"))
+        radius = _numbers_in(text, "curv_radius")[0] / 1e3
+        polar = np.repeat(angles, counts)
+        turn = [a + 2 * np.pi * np.arange(k) / k for a, k in zip(first, counts, strict=True)]
+    except (KeyError, ValueError, IndexError) as error:
+        raise FormatError(
+            f"gives no rings ({error})",
+            remedy="give curv_radius, n_act_ring, angle_ring and angle_act0",
+            path=path,
+        ) from None
+    azimuth = np.pi / 2 + np.concatenate(turn)
+    x, y = (radius * np.sin(polar) * f(azimuth) for f in (np.cos, np.sin))
+    return layout(x, y, nz=np.cos(polar))
+
+
+def _numbers_in(text: str, name: str) -> list[float]:
+    """Return the numbers of a name: of a line `name type value`, or of an array up to `end`."""
+    array_or_value = r"(?:array\s+\w+\s+\d+\s+(.*?)\s+end\b|\w+\s+(\S+))"
+    match = re.search(rf"^\s*{name}\s+{array_or_value}", text, re.M | re.S | re.I)
+    if match is None:
+        raise KeyError(name)
+    return [float(word) for word in (match[1] or match[2]).split()]
+
+
+def of_channels(places: Positions, channels: NDArray[np.int64], path: Path) -> Positions:
+    """Return positions of (m,) channels from those of all channels, or of these only."""
+    n = len(np.asarray(places.x).ravel())
+    if n == len(channels) or places.ids is not None:  # IDs are matched later
+        return places
+    if channels.max() >= n:
+        raise FormatError(
+            f"has {n} positions, {CHANNELS} names channel {channels.max()}",
+            remedy="give those of the same mirror",
+            path=path,
+        )
+    return places.part(channels)
+
+
+def _whole_numbers(values: Array, path: Path) -> NDArray[np.int64]:
+    """Return channels as integers, if they are distinct numbers from 0."""
+    whole = np.round(values)
+    if values.ndim != 1 or not np.array_equal(whole, values) or values.min(initial=0) < 0:
+        raise FormatError(
+            "does not contain numbers of channels", remedy="give integers from 0", path=path
+        )
+    if np.unique(whole).size != whole.size:
+        raise FormatError("names a channel twice", remedy="give each once", path=path)
+    return whole.astype(np.int64)
+
+
 def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.datetime, str]:
-    """Return when it was measured (UTC), and what says so."""
+    """Return the date of the measurement (UTC), and where it is from."""
     if told is not None:
         return told.replace(tzinfo=told.tzinfo or datetime.UTC), "as told"
-    track = str(given.header.get("TRACKNUM", "")), Path(given.path).name
+    header = given.stored.header
+    track = str(header.get("TRACKNUM", "")), Path(given.path).name
     for text in track:
         match = TRACK_NUMBER.search(text)
         if match:
@@ -196,7 +331,7 @@ def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.date
             return datetime.datetime(*numbers, tzinfo=datetime.UTC), f"track number {match[0]}"  # type: ignore[misc,arg-type]
     for key in ("DATE-OBS", "DATE"):
         try:
-            when = datetime.datetime.fromisoformat(str(given.header[key]).strip())
+            when = datetime.datetime.fromisoformat(str(header[key]).strip())
         except (KeyError, ValueError):
             continue
         return when.replace(tzinfo=when.tzinfo or datetime.UTC).astimezone(datetime.UTC), key

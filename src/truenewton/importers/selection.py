@@ -1,10 +1,12 @@
-"""Which of a file's arrays is the matrix, which are the positions, and in which units they are."""
+"""The matrix and the positions among the arrays of a file, and their units."""
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import astropy.units as u
@@ -12,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, naming
+from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.estimation.matrix.order import refuse_no_stiffness
-from truenewton.importers.stored import LENGTHS, Item, Stored
+from truenewton.importers.stored import LENGTHS, Item, Stored, read_stored
 
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
 POSITION_NAMES = ("coordinates", "coords", "act_coordinates", "act_coord", "positions", "xy")
@@ -23,32 +25,28 @@ POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
 ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
             "channel", "ch")  # fmt: skip
 MAX_NAMED = 8  # arrays and columns of a file
-
-
-# Farthest actuator from the middle of all, in metres and in what it looks like otherwise.
-MAX_COORDINATE = 1e12  # in any unit: no place
+MAX_COORDINATE = 1e12  # in any unit: a larger one is not a position
+# Distance of the farthest actuator from the mean position, by unit.
 LIKELY_SIZES = {"m": (0.02, 5.0), "mm": (40.0, 5e3), "um": (2e4, 5e6)}
-LIKELY_STIFFNESS = (2e4, 1e9)  # median own stiffness of a mirror [N/m]
+LIKELY_STIFFNESS = (2e4, 1e9)  # median diagonal element of a mirror [N/m]
 MAX_ELEMENT = 1e30  # element in any unit
-NOMINAL_STIFFNESS = 1e6  # that given to a matrix whose unit is unknown [N/m]
+NOMINAL_STIFFNESS = 1e6  # median diagonal element of a matrix of unknown unit [N/m]
 
 
 @dataclass(frozen=True, eq=False)
 class Positions:
-    """Positions as they stand in a file, or in metres.
+    """Positions as in a file, or in metres.
 
     Attributes
     ----------
-    x, y
-        (n,) in the unit.
-    unit
-        That the file declares, or ''.
+    x, y, unit
+        (n,) in a unit; '' if the file declares none.
     ids, nz, enabled
         (n,) or None; NZ is the cosine between force and +z.
     columns
-        Names of all columns of numbers in the file, if positions have names.
+        Names of all columns of numbers in the file, if they have names.
     notes
-        What was found and done, in words.
+        Texts on what was found and done.
     """
 
     x: Any
@@ -61,7 +59,7 @@ class Positions:
     notes: tuple[str, ...] = ()
 
     def part(self, rows: Any) -> Positions:
-        """Return those of some rows."""
+        """Return the positions of some rows."""
         some: dict[str, Any] = {
             name: None if (values := getattr(self, name)) is None else np.asarray(values)[rows]
             for name in ("x", "y", "nz", "ids", "enabled")
@@ -75,7 +73,7 @@ def _squeezed(stored: Stored) -> dict[str, Item]:
 
 
 def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
-    """Return the (n, n) matrix of a file, or (shells, n, n); which of several, in words."""
+    """Return the (n, n) or (shells, n, n) matrix of a file, and a text if there are several."""
     with naming(stored.path or None):
         items = _squeezed(stored)
         if dataset is not None:
@@ -96,10 +94,22 @@ def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
             square = known or square
         if len(square) != 1:
             fault = f"holds {len(square)} square matrices" if square else "holds no square matrix"
-            many = "say which by --dataset (dataset=): " + ", ".join(square)
+            many = "choose one by --dataset (dataset=): " + ", ".join(square)
             raise FormatError(fault, remedy=many if square else _none_square(stored))
         ((name, item),) = square.items()
         return item, f", '{name}' of {', '.join(every)}" if len(every) > 1 else ""
+
+
+def read_positions(path: str | os.PathLike[str]) -> Positions:
+    """Read a file of positions."""
+    if Path(path).is_dir():
+        raise UnreadableFile("is a folder", remedy="give a file of positions", path=path)
+    stored = read_stored(path)
+    found = positions_in(stored)
+    if found is None:
+        remedy = f"give columns X and Y, or an (n, 2) or (2, n) array; {there_is(stored)}"
+        raise FormatError("holds no positions", remedy=remedy, path=path)
+    return found
 
 
 def positions_in(stored: Stored) -> Positions | None:
@@ -144,7 +154,7 @@ def positions_of(item: Item) -> Positions:
 
 
 def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
-    """Return positions from columns whose names say what they are."""
+    """Return positions from columns named X and Y, with ID, NZ and ENABLED if they exist."""
     known: dict[str, Item] = {}
     for name, item in columns.items():
         plain, unit = _name_and_unit(name)
@@ -173,7 +183,7 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
 
 
 def _name_and_unit(name: str) -> tuple[str, str]:
-    """Return what a column is for and its unit, of names as 'x [mm]', 'x / mm', 'X_mm'."""
+    """Return name and unit of a column, from names as 'x [mm]', 'x / mm', 'X_mm', 'pos_x'."""
     text = name.strip().lower()
     match = UNIT.fullmatch(text) or re.fullmatch(rf"(.*?)_({LENGTHS})", text)
     plain, unit = (match[1], match[2]) if match and match[1] else (text, "")
@@ -189,7 +199,7 @@ def _integers(values: Any) -> bool:
 
 
 def _none_square(stored: Stored) -> str:
-    """Return what to do about a file without a square matrix."""
+    """Return the remedy for a file without a square matrix."""
     shapes = [item.values.shape for item in stored.arrays.values()]
     twice = any(len(shape) == 2 and shape[1] == 2 * shape[0] for shape in shapes)
     commas = ": where commas are decimal ones too, put semicolons between columns" if twice else ""
@@ -197,7 +207,7 @@ def _none_square(stored: Stored) -> str:
 
 
 def there_is(stored: Stored) -> str:
-    """Say which arrays and columns of numbers a file has."""
+    """Return a text on the arrays and columns of numbers in a file."""
     parts = [f"{n or 'one'} {item.values.shape}" for n, item in stored.arrays.items()]
     parts += [f"column '{name}'" for name in stored.columns]
     return f"there is {', '.join(parts[:MAX_NAMED])}" if parts else "there are no arrays in it"
@@ -205,16 +215,16 @@ def there_is(stored: Stored) -> str:
 
 @dataclass(frozen=True)
 class Surface:
-    """How positions are to be taken.
+    """How positions are given.
 
     Attributes
     ----------
     lengths
-        Their unit, unless the file declares it or it can be told from their size.
+        Their unit, or None: as declared by the file, or the likeliest by their size.
     curvature
-        Radius R of the surface [m], or None: then NZ is that of the file, or 1.
+        Radius of curvature R of the surface [m], or None: NZ is that of the file, or 1.
     arc
-        Radii are measured along the surface, R t, and not from the axis, R sin t.
+        Whether radii are measured along the surface, R t, instead of from the axis, R sin t.
     """
 
     lengths: str | None
@@ -223,7 +233,7 @@ class Surface:
 
 
 def in_metres(positions: Positions, surface: Surface) -> Positions:
-    """Return positions in metres; on a curved surface with their directions."""
+    """Return positions in metres, on a curved surface with their directions."""
     lengths, curvature, arc = surface.lengths, surface.curvature, surface.arc
     x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
     if x.shape != y.shape:
@@ -261,7 +271,7 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
 
 
 def _factor(unit: str, want: str, what: str) -> float:
-    """Return a factor from a unit by name to the one wanted."""
+    """Return the factor from a unit to the one wanted."""
     try:
         return float(u.Unit(unit).to(want))
     except (ValueError, TypeError):
@@ -273,22 +283,19 @@ def _factor(unit: str, want: str, what: str) -> float:
 
 
 def _likeliest_unit(x: Array, y: Array) -> str:
-    """Return the unit that makes positions those of a mirror."""
+    """Return the unit in which positions have the size of a mirror."""
     size = float(np.nanmax(np.hypot(x - np.nanmean(x), y - np.nanmean(y)), initial=0.0))
     fitting = [unit for unit, (least, most) in LIKELY_SIZES.items() if least <= size < most]
     if not fitting:
         raise FormatError(
-            f"positions reach {size:.3g} from their middle, in no unit that is declared",
-            remedy="say which by --lengths (lengths=), as mm",
+            f"positions reach {size:.3g} from their middle, and their unit is not declared",
+            remedy="give it by --lengths (lengths=), as mm",
         )
     return fitting[0]
 
 
 def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Array, str]:
-    """Return an (n, n) matrix in N/m, and what was taken for its unit: as told, or as declared.
-
-    NaN is where nothing was measured.
-    """
+    """Return an (n, n) matrix in N/m, which may contain NaN, and a text on its unit."""
     most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
     if most > MAX_ELEMENT:
         raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again", got=most)
@@ -304,7 +311,7 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
         )
     if unit == "unknown":
         said = f"unit unknown: its median own stiffness is called {NOMINAL_STIFFNESS:g} N/m;"
-        said += " alpha does not mind, forces and modes are in that unit"
+        said += " alpha does not depend on it, forces and modes are in that unit"
         return k * (NOMINAL_STIFFNESS / typical), said
     said = unit or declared
     if said:
@@ -318,13 +325,13 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
         fitting = [name for name, f in per.items() if _is_likely(typical * f)]
         raise FormatError(
             f"declares no unit, and a median own stiffness of {typical:.3g} N/m is no mirror's",
-            remedy=f"say which by --unit (unit=), as {', '.join((*fitting, 'unknown'))}; of"
-            " displacement per force give the inverse",
+            remedy=f"give it by --unit (unit=), as {', '.join((*fitting, 'unknown'))}; if it is"
+            " displacement per force, invert it",
             got=typical,
         )
     return k, f"N/m, as the median own stiffness is {typical:.3g}"
 
 
 def _is_likely(stiffness: float) -> bool:
-    """Tell whether a median own stiffness [N/m] may be a mirror's."""
+    """Return whether a median diagonal element [N/m] may be that of a mirror."""
     return LIKELY_STIFFNESS[0] <= stiffness < LIKELY_STIFFNESS[1]

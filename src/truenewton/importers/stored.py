@@ -1,8 +1,8 @@
-"""Numbers in files of any kind that is read here: its first bytes tell which.
+"""Reading the numbers in a file of any format, which its first bytes determine.
 
-Of a text file, columns stand between commas, semicolons, tabs or blanks; where one of the others
-does, a comma is a decimal one. What begins with #, ; % or ! is a comment. An LBT supervisor's array
-begins with its type and sizes (`float 672`), the first index fastest.
+Columns of a text file are separated by commas, semicolons, tabs or blanks; if one of the others
+separates columns, commas are decimal ones. Comments begin with #, ; % or !. An array of an LBT
+supervisor begins with its type and sizes (`float 672`), with the first index fastest.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
 LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
 UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
-MAX_WORD_COLUMNS = 16  # columns, of which some may be words
+MAX_WORD_COLUMNS = 16  # a table with more columns is a matrix, without columns of words
 
 
 class Item(NamedTuple):
-    """Numbers and the unit that their file declares, or ''; masked ones are NaN."""
+    """Numbers, masked ones NaN, and the unit that their file declares, or ''."""
 
     values: NDArray[np.float64]
     unit: str = ""
@@ -45,18 +45,10 @@ class Item(NamedTuple):
 
 @dataclass(frozen=True)
 class Stored:
-    """What a file holds.
+    """The numbers in a file.
 
-    Attributes
-    ----------
-    path
-        Where.
-    arrays
-        Of one dimension or more, by name; that of a file which has no names is ''.
-    columns
-        Of tables, (rows,), by name.
-    header
-        Keywords of a FITS file.
+    ``arrays`` have one dimension or more, ``columns`` are those of tables; both by name, which is
+    '' if there is none. ``header`` contains the keywords of a FITS file.
     """
 
     path: str
@@ -79,14 +71,14 @@ def read_stored(path: str | os.PathLike[str]) -> Stored:
         return Stored(path, arrays, {name: Item(column) for name, column in columns.items()})
     except TrueNewtonError as error:
         raise located(error, path) from None
-    except Exception as error:  # a damaged file can raise nearly anything inside its library
+    except Exception as error:  # libraries raise nearly anything for a damaged file
         told = " ".join(str(error).split())[:80]
         remedy = "write it again, or give FITS, .npy or text"
         raise UnreadableFile(f"cannot be read ({told})", remedy=remedy, path=path) from error
 
 
 def plain(values: Any) -> NDArray[np.float64] | None:
-    """Return (...,) numbers as floats, masked ones NaN; None of what is no real numbers."""
+    """Return (...,) numbers as floats, masked ones NaN; None for anything but real numbers."""
     if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiu":
         return np.asarray(np.ma.filled(values.astype(float), np.nan))
     numbers = np.asarray(values)
@@ -94,13 +86,9 @@ def plain(values: Any) -> NDArray[np.float64] | None:
 
 
 def _gathered(path: str, named: Mapping[str, Any]) -> Stored:
-    """Return what of named values is numbers: arrays of one dimension or more."""
-    arrays = {}
-    for name, value in named.items():
-        numbers = plain(value)
-        if numbers is not None and numbers.ndim > 0:
-            arrays[name] = Item(numbers)
-    return Stored(path, arrays)
+    """Return those named values that are arrays of numbers."""
+    every = {name: plain(value) for name, value in named.items()}
+    return Stored(path, {k: Item(v) for k, v in every.items() if v is not None and v.ndim})
 
 
 def _fits(path: str) -> Stored:
@@ -133,7 +121,7 @@ def _hdf5(path: str) -> Stored:
 
     def take(name: str, held: Any) -> None:
         if isinstance(held, h5py.Dataset) and held.dtype.kind in "fiub" and held.ndim:
-            # MATLAB's arrays of version 7.3 lie here with their axes reversed.
+            # MATLAB 7.3 stores arrays with their axes reversed.
             values = held[()].T if "MATLAB_class" in held.attrs else held[()]
             found[name] = Item(np.asarray(values, dtype=np.float64), unit_of(held))
 
@@ -173,7 +161,7 @@ TextTable = tuple[NDArray[Any] | None, dict[str, NDArray[Any]]]
 
 
 class Line(NamedTuple):
-    """A line as it stands in its file, and its number there, from 1."""
+    """A line of a file, and its number from 1."""
 
     number: int
     text: str
@@ -190,7 +178,7 @@ def text_of(path: str | os.PathLike[str]) -> str:
             return raw.decode("utf-16", "replace")
         if b"\0" in raw:
             remedy = "give FITS, .npy, .npz, CSV or text, HDF5, .mat or .sav"
-            raise UnreadableFile("is of no kind that is read here", remedy=remedy)
+            raise UnreadableFile("is of an unknown format", remedy=remedy)
         try:
             return raw.decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -198,11 +186,11 @@ def text_of(path: str | os.PathLike[str]) -> str:
 
 
 def read_text(path: str | os.PathLike[str]) -> TextTable:
-    """Return (rows, columns) of a text file, and those columns that have a name and numbers.
+    """Return a text file as an array (rows, columns), and its named columns of numbers.
 
-    The first has the shape of a type line, if there is one; it is None if a column holds words.
+    A type line determines the shape of the array. It is None if a column contains words.
     """
-    # A tab may stand for an empty cell in the corner, unless every line begins with one.
+    # A tab may begin an empty cell in the corner, unless every line begins with one.
     whole = text_of(path).splitlines()
     if whole and whole[0].startswith(ECSV):  # units in its comments would be lost
         remedy = "give CSV, with units in the names of its columns, as 'x [mm]'"
@@ -240,7 +228,7 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
 
 
 class Between(NamedTuple):
-    """What stands between columns, None for blanks; whether commas are decimal."""
+    """The separator of columns, None for blanks; whether commas are decimal."""
 
     delimiter: str | None
     comma: bool
@@ -268,7 +256,7 @@ def _has_number(line: str, between: Between) -> bool:
 
 
 def _is_named_row(cells: list[str], others: list[Line], between: Between) -> bool:
-    """Tell whether a first line is a row of numbers after its name, as the others are."""
+    """Return whether the first line is a name and numbers, as the others, instead of a header."""
     if len(cells) < 3 or not all(map(NUMBER.fullmatch, cells[1:])) or not others:
         return False
     columns = np.diff([_float(cell) for cell in cells[1:]])  # 1 of a header that counts columns
@@ -308,7 +296,7 @@ def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
 
 
 def _alike(lines: list[Line], between: Between) -> list[list[str]]:
-    """Return the cells of lines, as many in each, without a last column that is empty in all."""
+    """Return the cells of lines, without an empty last column, if all have the same number."""
     rows = [_cells(line.text, between) for line in lines]
     if len(rows[0]) > 1 and not any(row[-1] for row in rows):
         rows = [row[:-1] for row in rows]
@@ -323,7 +311,7 @@ def _alike(lines: list[Line], between: Between) -> list[list[str]]:
 
 
 def _wide(lines: list[Line], between: Between) -> NDArray[Any]:
-    """Return rows of numbers, without the words that name them in the first column."""
+    """Return rows of numbers, without names in the first column."""
     text = "\n".join(line.text for line in lines).replace('"', "")
     try:
         return np.loadtxt(
@@ -344,12 +332,12 @@ def _wide(lines: list[Line], between: Between) -> NDArray[Any]:
 
 
 def _float(cell: str) -> float:
-    """Return a number, an exponent of Fortran's with it; NaN of an empty cell."""
+    """Return a number, which may have a Fortran exponent; NaN for an empty cell."""
     return float(cell.lower().replace("d", "e") or "nan")
 
 
 def _unlabelled(values: NDArray[Any], header: bool) -> NDArray[Any]:
-    """Return a square matrix without the numbers of its rows and columns, if it has such."""
+    """Return a matrix without the numbers of its rows and columns."""
 
     def counts(numbers: NDArray[Any]) -> bool:
         return bool(numbers.size and numbers[0] in (0, 1) and (np.diff(numbers) == 1).all())

@@ -24,7 +24,7 @@ from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
 from truenewton.quantities import Quantity, check_quantities, convert_quantities
 from truenewton.records.file import SUFFIXES, read_layout
-from truenewton.records.segment import require_segment
+from truenewton.records.parts import require_segment
 from truenewton.rounding import listed
 from truenewton.statics.layout import MAX_DISTANCE, Layout, layout
 

@@ -49,10 +49,10 @@ from truenewton.modal.true_stiffness import TrueStiffness, indices_of, static_fo
 from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Source
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import Summarised
 from truenewton.records.segmented import SegmentedData
-from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.modes import StiffnessModes
 

@@ -28,6 +28,7 @@ from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive
 from truenewton.reading import select_segment
 from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.cycle import Source
 from truenewton.records.parts import (
     InParts,
     Parts,
@@ -35,7 +36,6 @@ from truenewton.records.parts import (
     has_parts,
     refuse_other_mirror,
 )
-from truenewton.records.source import Source
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.law import TRACKINGS, Tracking

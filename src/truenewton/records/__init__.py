@@ -1,14 +1,11 @@
-"""What was measured: frozen records that check themselves, and their files (docs/files.md).
+"""Data and results: frozen records that check themselves, and their files (docs/files.md).
 
-cycle             one run through all shapes under one load
-campaign          cycles of one mirror that belong together
+cycle             one run through all shapes under one load; its source and segments
+campaign          cycles of one mirror that are calibrated together
 stiffness_matrix  a measured stiffness: commanded force per displacement
-segmented         what was measured of a mirror in several segments
-segment           what a segment of a mirror weighs
-result            what every result can do; the columns of one, and the file of several segments
-parts             what was found of each segment, or why nothing
-source            the file that data came from, and what of it went into a result
-samples           streams of raw samples, averaged to rows
-file              cycle and stiffness files: what they hold, both ways
-reader            files of cycles as they are opened, here or by a worker of a cluster
+segmented         data of a mirror in several segments
+result            what all results have in common; their columns and files
+parts             the results of the segments of a mirror
+samples           raw samples, averaged to rows
+file              cycle and stiffness files
 """

@@ -1,4 +1,4 @@
-"""Cycles of one mirror that belong together, and the refusal of those that do not."""
+"""Cycles of one mirror that are calibrated together, and the checks that they agree."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ OF_LOAD = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Campaign:
-    """Cycles of one mirror, which together are calibrated: as many as its length, in their order.
+    """Cycles of one mirror that are calibrated together; a sequence of them.
 
     Attributes
     ----------
     cycles
         Ordered by load, the bare one first, then by number.
     stiffness
-        A stiffness matrix of the same mirror, which helps to tell its actuators apart; or None.
+        A stiffness matrix of the same mirror, which improves alpha; or None.
 
     Raises
     ------
     CampaignMismatch
-        Cycles that disagree on the mirror, a weight or the actuators, or stand twice.
+        Cycles disagree on the mirror, a weight or the actuators, or are given twice.
 
     Examples
     --------
@@ -57,13 +57,12 @@ class Campaign:
     stiffness: StiffnessMatrix | None = None
 
     def __post_init__(self) -> None:
-        for cycle in self.cycles[:1]:
-            if pieces := cycle.layout.segments:
-                raise CampaignMismatch(
-                    f"has {len(pieces)} segments, which balance each by itself",
-                    remedy="give its cycles to SegmentedData",
-                    path=cycle.name,
-                )
+        if self.cycles and (pieces := self.layout.segments):
+            raise CampaignMismatch(
+                f"has {len(pieces)} segments, which balance separately",
+                remedy="give its cycles to SegmentedData",
+                path=self.cycles[0].name,
+            )
         object.__setattr__(self, "cycles", ordered_cycles(self.cycles))
         refuse_foreign(self.stiffness, self.cycles[0])
 
@@ -129,13 +128,13 @@ class Campaign:
 
 
 def mean_temperature(cycles: Iterable[Cycle]) -> float:
-    """Return the mean over all rows that count [deg C]; NaN where none is recorded."""
+    """Return the mean over all valid rows [deg C]; NaN if no temperature is recorded."""
     recorded = [c.temperature[c.valid] for c in cycles if c.temperature is not None]
     return float(np.concatenate(recorded).mean()) if recorded else float("nan")
 
 
 def load_temperatures(campaign: Campaign) -> Array:
-    """Return (L,) mean temperature under each load [deg C]; NaN where none is recorded."""
+    """Return (L,) mean temperature under each load [deg C]; NaN if it is not recorded."""
     return np.array(
         [
             mean_temperature(c for c in campaign.cycles if c.load.key == load.key)
@@ -145,7 +144,7 @@ def load_temperatures(campaign: Campaign) -> Array:
 
 
 def ordered_cycles(cycles: Iterable[Cycle]) -> tuple[Cycle, ...]:
-    """Return cycles by load, the bare one first, then by number; refuse several mirrors."""
+    """Return cycles by load, the bare one first, then by number, if they are of one mirror."""
     ordered = sorted(cycles, key=_campaign_order)
     if not ordered:
         raise CampaignMismatch("there are no cycle files", remedy="give at least one")
@@ -153,7 +152,7 @@ def ordered_cycles(cycles: Iterable[Cycle]) -> tuple[Cycle, ...]:
     seen: dict[tuple[str, int], Cycle] = {}
     of_mirror = "calibrate files of one campaign only"
     for cycle in ordered:
-        of_load = f"correct it, or LOAD: both say '{cycle.load.name}'"
+        of_load = f"correct it, or LOAD, which is '{cycle.load.name}' in both"
         before = first_of_load.setdefault(cycle.load.key, cycle)
         _agree(first, cycle, {} if first.segments else OF_MIRROR, of_mirror)
         if differ := first.layout.difference(cycle.layout):
@@ -166,14 +165,14 @@ def ordered_cycles(cycles: Iterable[Cycle]) -> tuple[Cycle, ...]:
         if double is not cycle:
             raise CampaignMismatch(
                 f"LOAD '{cycle.load.name}' has CYCLE {cycle.number} twice",
-                remedy=f"leave one out, or number it anew (the other is {double.name})",
+                remedy=f"remove one, or change its number (the other is {double.name})",
                 path=cycle.name,
             )
     return tuple(ordered)
 
 
 def refuse_foreign(matrix: StiffnessMatrix | None, cycle: Cycle) -> None:
-    """Refuse a stiffness matrix that is not of a cycle's mirror."""
+    """Raise CampaignMismatch if a stiffness matrix is not of a cycle's mirror."""
     if matrix is None:
         return
     other = matrix.instrument != cycle.instrument
@@ -198,7 +197,7 @@ def _mismatch(one: Cycle, other: Cycle, what: str, remedy: str) -> CampaignMisma
 
 
 def _agree(one: Cycle, other: Cycle, keywords: dict[str, str], remedy: str) -> None:
-    """Refuse two cycles that differ in an attribute, for which the files have a keyword."""
+    """Raise CampaignMismatch if an attribute differs; ``keywords`` names it as in the files."""
     for attribute, keyword in keywords.items():
         a, b = map(attrgetter(attribute), (one, other))
         if a != b:
@@ -206,7 +205,7 @@ def _agree(one: Cycle, other: Cycle, keywords: dict[str, str], remedy: str) -> N
 
 
 def _agree_on_segments(one: Cycle, other: Cycle, part: str, remedy: str) -> None:
-    """Refuse two cycles of the same segments that differ in weight, or in added."""
+    """Raise CampaignMismatch if the weights, or added weights, of segments differ."""
     for pair in zip(one.segments, other.segments, strict=True):
         a, b = ((getattr(each, part), getattr(each, f"{part}_error")) for each in pair)
         if a != b:

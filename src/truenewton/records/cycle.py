@@ -1,4 +1,4 @@
-"""Frozen records of what was measured; nothing here knows how it was measured or what is true."""
+"""One run through all shapes under one load: its rows, the weights, and the file they came from."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,10 @@ from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, columns_of, largest_in_rows
 from truenewton.quantities import Quantity, check_quantities, convert_quantities, mask_of
-from truenewton.records.segment import Segment, check_segments, lacks_weights, sums_of
-from truenewton.records.source import Source, check_date
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import (
+    ADDED_WEIGHT,
     LARGEST_FORCE,
     LEAST_NOISE,
     MIRROR_WEIGHT,
@@ -35,30 +34,120 @@ ARRAYS = {"time": float, "shape": np.int64, "sign": np.int64, "valid": bool, "te
           "force": float, "position": float}  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Source:
+    """A file that was read.
+
+    Attributes
+    ----------
+    file, sha256
+        Its path, in a result its name; the digest of its bytes.
+    rows, rejected
+        Number of its rows that are part of a result, and number of rows rejected as outliers.
+    """
+
+    file: str
+    sha256: str
+    rows: int = 0
+    rejected: int = 0
+
+
+class Segment(NamedTuple):
+    """A row of SEGMENTS: the weights of one segment under one load.
+
+    Attributes
+    ----------
+    number
+        As in SEGMENT of ACTUATORS.
+    weight, weight_error
+        P and its standard uncertainty [N].
+    added, added_error
+        Q and its standard uncertainty [N].
+
+    Examples
+    --------
+    >>> tn.Segment(1, weight=-2.92, weight_error=0.005, added=-0.289, added_error=0.005).weight
+    -2.92
+    """
+
+    number: int
+    weight: float
+    weight_error: float
+    added: float = 0.0
+    added_error: float = 0.0
+
+
+def check_date(date: object) -> None:
+    """Raise FormatError for anything but a date."""
+    if not isinstance(date, datetime.datetime):
+        raise FormatError(f"the date is {date!r}", remedy="give a datetime.datetime, UTC", got=date)
+
+
+def check_segments(segments: tuple[Segment, ...], layout: Layout) -> None:
+    """Raise FormatError if weights are invalid, or not those of the segments of the actuators."""
+    there = () if layout.segment is None else np.unique(layout.segment).tolist()
+    if layout.segments and not segments:
+        raise FormatError(
+            f"ACTUATORS has {len(there)} segments, and their weights are not given",
+            remedy="add the table SEGMENTS: SEGMENT, WEIGHT, E_WEIGHT, ADDED, E_ADDED"
+            " (docs/files.md)",
+        )
+    named = [segment.number for segment in segments]
+    for number in named:
+        if named.count(number) > 1:
+            raise FormatError(f"segment {number} is twice in SEGMENTS", remedy="keep one row")
+        if number not in there:
+            raise FormatError(
+                f"SEGMENTS has a row of segment {number}, which has no actuators",
+                remedy="correct SEGMENT of ACTUATORS, or remove the row",
+            )
+    lacking = [number for number in there if number not in named] if named else []
+    if lacking:
+        raise FormatError(
+            f"SEGMENTS has no row of {counted(lacking, 'segment')}:"
+            f" {', '.join(map(str, lacking[:9]))}",
+            remedy="give WEIGHT, E_WEIGHT, ADDED and E_ADDED of each segment (docs/files.md)",
+        )
+    for segment in segments:
+        try:
+            for name, quantity in (MIRROR_WEIGHT | ADDED_WEIGHT).items():
+                quantity.check(getattr(segment, name))
+        except FormatError as error:
+            raise error.changed(fault=f"{error.fault} of segment {segment.number}") from None
+
+
+def sums_of(segments: tuple[Segment, ...]) -> dict[str, float]:
+    """Return weight, its error, added weight and its error [N] of all segments together."""
+    weights = np.array([segment[1:] for segment in segments])
+    values, errors = weights[:, ::2].sum(axis=0), np.sqrt((weights[:, 1::2] ** 2).sum(axis=0))
+    names = ("weight", "added", "weight_error", "added_error")
+    return dict(zip(names, [*values.tolist(), *errors.tolist()], strict=True))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Cycle:
     """One run through all shapes under one load (docs/files.md).
 
-    Quantities are converted; rows with masked numbers of enabled actuators are not valid.
+    Quantities are converted. Rows with masked numbers of enabled actuators are not valid.
 
     Attributes
     ----------
     instrument, date, number
         INSTRUME; start (UTC); CYCLE, from 1.
     load
-        What hung on the mirror.
+        The added weight and tilt.
     weight, weight_error
         P and its standard uncertainty [N].
     layout
         The n actuators.
     time, shape, sign, valid
-        (N,) seconds since ``date``; index of the shape from 1; +1 or -1; false for rows that take
-        no part, whatever they hold.
+        (N,) seconds since ``date``; index of the shape from 1; +1 or -1; false for rows that are
+        not used, whatever they contain.
     force
-        (N, n) commanded forces c [N]; of a campaign larger than memory `StoredRows`, which
+        (N, n) commanded forces c [N]; `StoredRows` if they stay in their file, which
         ``numpy.asarray`` reads.
     temperature, position
-        (N,) [deg C] and (N, n) [m], as ``force``; or None.
+        (N,) [deg C] and (N, n) [m], or None.
     coil_gradient, bias_gradient
         COILGRAD [1/m] and BIASGRAD [N/m], or None.
     gap, force_error
@@ -66,13 +155,13 @@ class Cycle:
     source
         The file, or None.
     segments
-        Weights of each segment, by its number; none of a mirror in one piece. ``weight`` and the
-        added weight of ``load`` are those of all segments together.
+        Weights of each segment; empty for a mirror in one piece. ``weight`` and the added weight
+        of ``load`` are the sums over all segments.
 
     Raises
     ------
     FormatError
-        Rows that count hold what they may not.
+        A number, or a value in a valid row, is not allowed.
 
     Examples
     --------
@@ -142,7 +231,7 @@ class Cycle:
         self._check_rows()
 
     def _take_masks(self) -> None:
-        """Mark rows as not valid in which a number that counts is masked."""
+        """Mark rows with masked numbers of enabled actuators as not valid."""
         masks = {name: mask_of(getattr(self, name)) for name in ARRAYS if name != "valid"}
         for name, mask in masks.items():
             if mask is not None:
@@ -152,16 +241,14 @@ class Cycle:
                 object.__setattr__(self, name, number)
 
     def _check_segments(self) -> None:
-        if self.layout.segments and not self.segments:
-            raise lacks_weights(self.layout)
+        check_segments(self.segments, self.layout)
         if self.segments:
-            check_segments(self.segments, self.layout)
             ordered = tuple(sorted(self.segments)) if self.layout.segments else ()
-            own = (self.weight, self.weight_error, self.load.added, self.load.added_error)
+            own = (self.weight, self.load.added, self.weight_error, self.load.added_error)
             sums = sums_of(self.segments)
             if not np.allclose(own, list(sums.values()), rtol=1e-6, atol=1e-9):
                 raise FormatError(
-                    "WEIGHT or ADDED is not what all segments weigh together",
+                    "WEIGHT or ADDED is not the sum of the weights of all segments",
                     remedy="give the sums, and of their errors the root of the sum of squares",
                     got=own,
                     want=tuple(sums.values()),
@@ -232,23 +319,17 @@ class Cycle:
 
     @property
     def name(self) -> str:
-        """Its file, or its load and number where it has none."""
+        """The file; if there is none, load and number."""
         return self.source.file if self.source else f"{self.load.name} {self.number}"
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Of the segments that it is of, ascending; none where ACTUATORS names none."""
+        """Numbers of its segments, ascending; empty if ACTUATORS has no SEGMENT."""
         segment = self.layout.segment
         return () if segment is None else tuple(np.unique(segment).tolist())
 
     def of_segment(self, number: int) -> Cycle:
-        """Return what concerns one segment, which is a mirror in one piece.
-
-        Raises
-        ------
-        GeometryError, FormatError
-            It has no actuator that is enabled, or its readings hold what they may not.
-        """
+        """Return the data of one segment as those of a mirror in one piece."""
         (own,) = [segment for segment in self.segments if segment.number == number]
         chosen = np.asarray(self.layout.segment) == number
         part = replace(
@@ -262,70 +343,64 @@ class Cycle:
             position=None if self.position is None else columns_of(self.position, chosen),
             segments=(),
         )
-        if "_rest_and_stroke" in vars(self):  # POSITION is not read again
+        if "_rest_and_stroke" in vars(self):  # so that POSITION is not read again
             own_enabled = chosen[self.layout.enabled]
             vars(part)["_rest_and_stroke"] = tuple(v[own_enabled] for v in self._rest_and_stroke)
         return part
 
     @property
     def used_force(self) -> Array:
-        """(N_valid, n_enabled) commanded forces of the rows and actuators that count [N]."""
+        """(N_valid, n_enabled) commanded forces of valid rows and enabled actuators [N]."""
         return self.used(self.force, slice(None))
 
     @cached_property
     def _counting(self) -> NDArray[np.int64] | None:
-        """The rows that count; None where all do."""
+        """Indices of the valid rows; None if all are valid."""
         return None if self.valid.all() else np.flatnonzero(self.valid)
 
     def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
-        """Return FORCE [N] or POSITION [m] of some rows that count, (rows, n_enabled)."""
+        """Return FORCE [N] or POSITION [m] of some of the valid rows, (rows, n_enabled)."""
         chosen = values[rows if self._counting is None else self._counting[rows]]
         return chosen if self.layout.enabled.all() else chosen[:, self.layout.enabled]
 
     def used_blocks(self) -> Iterator[slice]:
-        """Cut the rows that count into blocks that are taken at once."""
+        """Yield the blocks in which valid rows are read."""
         return blocks(int(self.valid.sum()), 8 * self.layout.n)
 
     @property
     def largest_force(self) -> float:
-        """Largest magnitude of a commanded force that counts [N]."""
+        """Largest commanded force of valid rows and enabled actuators [N]."""
         return float(largest_in_rows(self.force, self.layout.enabled)[self.valid].max())
 
     @cached_property
     def _paired(self) -> NDArray[np.bool_]:
-        """(N_valid,) whether a row has its opposite."""
+        """(N_valid,) true if the shape of a row is also measured with the opposite sign."""
         code = self.sign[self.valid] * self.shape[self.valid]
         return np.isin(-code, code)
 
     @property
     def has_opposites(self) -> bool:
-        """Whether a shape stands with both signs, so that ``rest_position`` is no displacement."""
+        """Whether a shape is measured with both signs, so that their mean is the mirror at rest."""
         return bool(self._paired.any())
 
     @property
     def paired_rows(self) -> NDArray[np.bool_]:
-        """(N_valid,) the rows that have their opposite: their mean is the mirror at rest.
-
-        All rows where none has one.
-        """
+        """(N_valid,) true for the rows whose mean is the mirror at rest; or for all rows."""
         return self._paired if self.has_opposites else np.ones_like(self._paired)
 
     @property
     def rest_position(self) -> Array:
-        """(n_enabled,) mean reading of each sensor over ``paired_rows`` [m]; 0 without POSITION.
-
-        That is the flat mirror, whatever rows are missing.
-        """
+        """(n_enabled,) mean reading of each sensor over ``paired_rows`` [m]; 0 without POSITION."""
         return self._rest_and_stroke[0]
 
     @property
     def stroke(self) -> Array:
-        """(n_enabled,) rms distance of the readings from ``rest_position`` [m]; or 0."""
+        """(n_enabled,) rms of the readings about ``rest_position`` [m]; 0 without POSITION."""
         return self._rest_and_stroke[1]
 
     @cached_property
     def _rest_and_stroke(self) -> tuple[Array, Array]:
-        """Take both in one pass, from the first row on: a zero far off costs no digits."""
+        """Both, in one pass relative to the first row: a large offset costs no digits."""
         n = int(self.layout.enabled.sum())
         if self.position is None:
             return np.zeros(n), np.zeros(n)

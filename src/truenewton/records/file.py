@@ -1,4 +1,4 @@
-"""Cycle and stiffness files (docs/files.md): what they hold, and how they are read and written."""
+"""Cycle and stiffness files (docs/files.md): their contents, reading and writing."""
 
 from __future__ import annotations
 
@@ -14,17 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, UnreadableFile, located, naming
+from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.files.content import PRIMARY, FitsFile
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.hdf5 import STREAM, is_hdf5, read_hdf5, write_hdf5
 from truenewton.files.hdf5 import SUFFIXES as HDF5
 from truenewton.files.outputs import folder_beside
-from truenewton.records.cycle import Cycle
+from truenewton.records.cycle import Cycle, Segment, Source, check_segments, sums_of
 from truenewton.records.samples import SampleMeans, left_in_file, rows_of_samples, sample_means
-from truenewton.records.segment import Segment, lacks_weights, sums_of
-from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LEAST_NOISE, Load
@@ -91,7 +89,7 @@ SEGMENTS = TableFormat(
     of="segments",
 )
 OF_SEGMENTS = tuple(column.name for column in SEGMENTS.columns[1:])
-# Of a mirror in several segments: weights stand there, and not in the header.
+# Of a mirror in several segments: its weights are in SEGMENTS, not in the header.
 SEGMENTED_CYCLE = FileFormat(
     tuple(keyword for keyword in CYCLE.keywords if keyword.name not in OF_SEGMENTS),
     (*CYCLE.extensions, SEGMENTS),
@@ -130,7 +128,7 @@ class Averaged:
     number
         (N,) samples of each row.
     force_variance, position_variance
-        (N, n) variances of one sample [N^2], [m^2]; NaN of a lone one; None without POSITION.
+        (N, n) variances of one sample [N^2], [m^2]; NaN for single samples; None without POSITION.
 
     Examples
     --------
@@ -145,7 +143,7 @@ class Averaged:
 
 
 def read_file(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS or HDF5 file; if not whole, vector columns are left in it."""
+    """Read a FITS or HDF5 file; if not whole, vector columns stay on disk."""
     return (read_hdf5 if is_hdf5(path) else read_fits)(path, whole=whole)
 
 
@@ -160,14 +158,13 @@ def read_layout(path: str | os.PathLike[str]) -> Layout:
 
 
 def cycle_from(file: FitsFile, *, whole: bool = True) -> Cycle:
-    """Return the cycle that a file holds; if not whole, means of samples are left in the file."""
+    """Return the cycle in a file; if not whole, means of samples stay in the file."""
     if not holds_cycle(file):
         there = ", ".join(name for name in file.extensions if name != PRIMARY)
         raise FormatError(
             "there is no table MEASUREMENTS",
-            remedy=f"there is {there or 'a plain image'}; a campaign holds cycle files only"
-            " (docs/files.md: 'A campaign in your own format', 'Raw samples'), a stiffness file an"
-            " image STIFFNESS: `truenewton import` makes one of a matrix",
+            remedy=f"there is {there or 'a plain image'}; give cycle files only, or a stiffness"
+            " file, with an image STIFFNESS; `truenewton import` converts other files",
             path=file.path,
         )
     if STREAM in file.extensions:
@@ -176,17 +173,17 @@ def cycle_from(file: FitsFile, *, whole: bool = True) -> Cycle:
 
 
 def _values(file: FitsFile, form: FileFormat, segmented: FileFormat) -> dict[str, Any]:
-    """Return what a file holds; weights of segments stand in SEGMENTS, and there alone."""
-    layout = layout_from(file)  # what is wrong with it comes first: FORCE has its width
+    """Return the values of a cycle or its samples; weights of segments are only in SEGMENTS."""
+    layout = layout_from(file)  # its faults are reported first: FORCE has its width
     known = {"layout": layout, "source": Source(file.path, file.sha256)}
     if SEGMENTS.name not in file.extensions:
-        if layout.segments:
-            raise located(lacks_weights(layout), file.path)
+        with naming(file.path):
+            check_segments((), layout)
         return file.values(form) | known
     if both := [name for name in OF_SEGMENTS if name in file.header]:
         raise FormatError(
-            f"{' and '.join(both)} stand both in the primary header and in SEGMENTS",
-            remedy="take them out of the header: SEGMENTS says them of each segment",
+            f"{' and '.join(both)} are both in the primary header and in SEGMENTS",
+            remedy="remove them from the header: SEGMENTS contains them for each segment",
             path=file.path,
         )
     values = file.values(segmented)
@@ -203,7 +200,7 @@ def _values(file: FitsFile, form: FileFormat, segmented: FileFormat) -> dict[str
 
 
 def holds_cycle(file: FitsFile) -> bool:
-    """Tell whether a file holds a cycle, or samples of one."""
+    """Return whether a file contains a cycle, or samples of one."""
     return MEASUREMENTS.name in file.extensions or STREAM in file.extensions
 
 
@@ -213,7 +210,7 @@ def averaged(path: str | os.PathLike[str]) -> Averaged:
     Parameters
     ----------
     path
-        HDF5, with a group SAMPLES in the place of MEASUREMENTS.
+        HDF5, with a group SAMPLES instead of MEASUREMENTS.
 
     Raises
     ------
@@ -235,9 +232,9 @@ def averaged(path: str | os.PathLike[str]) -> Averaged:
 
 
 def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
-    """Return the cycle of the samples that a file holds, and their scatter.
+    """Return the cycle of the samples in a file, and their scatter.
 
-    If not whole, FORCE and POSITION are left in the file, and averaged anew whenever they are used.
+    If not whole, FORCE and POSITION stay in the file, and are averaged whenever they are used.
     """
     if MEASUREMENTS.name in file.extensions:
         raise FormatError(
@@ -262,19 +259,19 @@ def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
     known = of["force"].of_mean[number > 1][:, layout.enabled]
     noise = float(np.sqrt(known.mean())) if known.size else 0.0
     least = max(LEAST_NOISE, ROUNDING * float(np.abs(of["force"].mean[:, layout.enabled]).max()))
-    values["force_error"] = noise if noise > least else None  # forces that are held have none
+    values["force_error"] = noise if noise > least else None  # constant forces have none
     position_variance = of["position"].variance if "position" in of else None
     return Averaged(file.filled(Cycle, values), number, of["force"].variance, position_variance)
 
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
-    """Return the stiffness matrix that a file holds."""
+    """Return the stiffness matrix in a file."""
     source = Source(file.path, file.sha256)
     return file.filled(StiffnessMatrix, file.values(STIFFNESS) | {"source": source})
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return the files meant by files and folders; of a folder those of data, sorted by name."""
+    """Return files, and the FITS and HDF5 files of folders, sorted by name in each folder."""
     files: list[Path] = []
     for path in map(Path, paths):
         try:
@@ -293,7 +290,7 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
 
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a cycle file; HDF5 where the name ends in .h5 or .hdf5.
+    """Write a cycle file; HDF5 if the name ends in .h5 or .hdf5.
 
     Parameters
     ----------
@@ -302,7 +299,7 @@ def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool =
     path
         The file.
     overwrite
-        Replace a file that stands.
+        Replace an existing file.
 
     Raises
     ------
@@ -327,16 +324,16 @@ def cycle_name(load: Load, number: int) -> str:
 def write_campaign(
     cycles: Iterable[Cycle], folder: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Write cycles as LOAD-CYCLE.fits into a folder, which is complete or not there.
+    """Write cycles as LOAD-CYCLE.fits into a new folder; on failure none is left.
 
     Parameters
     ----------
     cycles
-        Of one mirror; a campaign, too.
+        Of one mirror, or a campaign.
     folder
-        To be made.
+        The folder.
     overwrite
-        Replace a folder that stands.
+        Replace an existing folder.
 
     Raises
     ------
@@ -365,7 +362,7 @@ def write_stiffness(
     path
         The file.
     overwrite
-        Replace a file that stands.
+        Replace an existing file.
 
     Raises
     ------

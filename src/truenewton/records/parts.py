@@ -1,13 +1,13 @@
-"""A mirror in several segments: a part for each number, or the reason why there is none.
+"""A mirror in several segments: a part for each segment, or the reason why there is none.
 
-Each segment is a body of its own, and what is done to one body is done to each. `Parts` holds the
-results; their file is derived from the file of one (`ResultKind`).
+Each segment is a body of its own, and every method for one body is applied to each. `Parts`
+contains the results; their file is derived from that of a single body (`ResultKind`).
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -23,14 +23,14 @@ from truenewton.errors import (
     FormatError,
     RankDeficient,
     TrueNewtonError,
+    UnknownName,
     UnreadableFile,
-    located,
+    naming,
 )
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Attribute, Column, FileFormat, TableFormat, quantities, value_of
 from truenewton.progress import telling, telling_of
 from truenewton.records.result import Result, ResultKind, verdict_of
-from truenewton.records.segment import require_segment
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
@@ -44,8 +44,19 @@ Made = TypeVar("Made")
 Faults = tuple[Fault, ...]
 
 
+def require_segment(number: int, numbers: Sequence[int]) -> None:
+    """Raise UnknownName if there is no segment of this number."""
+    if number not in numbers:
+        raise UnknownName(
+            f"there is no segment {number}",
+            remedy=f"choose {', '.join(map(str, numbers))}",
+            got=number,
+            want=numbers,
+        )
+
+
 class Executor(Protocol):
-    """What maps a function to items in other processes, as a `concurrent.futures.Executor`."""
+    """The method of a `concurrent.futures.Executor` that is used."""
 
     def map(self, fn: Callable[..., Any], *iterables: Iterable[Any]) -> Iterable[Any]:
         """Return the results in order."""
@@ -62,7 +73,7 @@ class InParts(Generic[Part]):
     layout
         The n actuators of all segments.
     failed
-        Why segments have no part, each with its remedy, by number.
+        Faults of the segments that have no part, by number.
     """
 
     instrument: str
@@ -71,7 +82,7 @@ class InParts(Generic[Part]):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Of all segments, ascending."""
+        """Numbers of all segments, ascending."""
         return self.layout.segments
 
     def part(self, number: int) -> Part:
@@ -94,32 +105,29 @@ class InParts(Generic[Part]):
         raise NotImplementedError
 
     def of(self, number: int) -> NDArray[np.bool_]:
-        """Return (n,) which actuators are of a segment."""
+        """Return (n,) true for the actuators of a segment."""
         return np.asarray(np.asarray(self.layout.segment) == number)
 
     def own(self, number: int, ids: Iterable[int]) -> list[int]:
-        """Return those of some IDs whose actuators are of a segment."""
+        """Return the IDs of those actuators that are of a segment."""
         return [one for one in ids if one in self.layout.id[self.of(number)]]
 
     def map(
         self, function: Callable[[Part], Made], executor: Executor | None = None
     ) -> Parts[Made]:
-        """Return what a function gives of each part.
-
-        A part of which it raises one of `errors` has failed, and does not harm the others.
+        """Apply a function to each part; a part for which it raises one of `errors` has failed.
 
         Parameters
         ----------
         function
             Of a part.
         executor
-            Does the work in other processes, as a `concurrent.futures.ProcessPoolExecutor`; here
-            and in turn if None.
+            As a `concurrent.futures.ProcessPoolExecutor`; if None, the parts are processed here.
 
         Raises
         ------
         RankDeficient
-            The function gives nothing of any part.
+            All parts have failed.
         """
         return self.solved(lambda _: function, "a result", executor)
 
@@ -129,7 +137,7 @@ class InParts(Generic[Part]):
         what: str,
         executor: Executor | None = None,
     ) -> Parts[Made]:
-        """Return the same, of a function for each number; ``what`` names its result."""
+        """Apply a function for each number to its part; ``what`` names the result in messages."""
         numbers = [number for number in self.numbers if number not in self.failed]
 
         def pairs() -> Iterator[tuple[Callable[[Part], Made], Part] | Fault]:
@@ -163,14 +171,14 @@ def _fault_of(error: TrueNewtonError) -> Fault:
 
 
 def _attempt(pair: tuple[Callable[[Part], Made], Part] | Fault) -> Made | Fault:
-    """Return what a function gives of a part, or why it gives nothing."""
+    """Return the result of a function of a part, or why there is none."""
     if isinstance(pair, Fault):
         return pair
     function, part = pair
-    # The whole is warned of, and what is found of one segment is no result of all.
+    # Warnings and progress are those of the mirror as a whole.
     with warnings.catch_warnings(), telling(lambda *_: None):
         warnings.simplefilter("ignore")
-        warnings.simplefilter("error", RuntimeWarning)  # what overflows is no result
+        warnings.simplefilter("error", RuntimeWarning)  # an overflow gives no result
         try:
             return function(part)
         except UnreadableFile:
@@ -186,9 +194,9 @@ def _attempt(pair: tuple[Callable[[Part], Made], Part] | Fault) -> Made | Fault:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Parts(InParts[Part], Result):
-    """What was found of the segments of a mirror, each by itself.
+    """The results of the segments of a mirror, each calculated separately.
 
-    `calibrate`, `track`, `recalibrate` and `find_modes` return it of data in several segments.
+    Returned by `calibrate`, `track`, `recalibrate` and `find_modes` for data in several segments.
     Arrays over actuators are in the order of ``layout``, NaN if their segment has no part.
 
     Attributes
@@ -198,14 +206,14 @@ class Parts(InParts[Part], Result):
     layout
         The n actuators of all segments.
     found
-        What was found of a segment, as a `Calibration`, by its number.
+        The result of a segment, as a `Calibration`, by its number.
     failed
-        Why nothing was found of the others, each with its remedy, by number.
+        Faults of the segments that have no result, by number.
 
     Raises
     ------
     FormatError
-        The two do not name each segment once, or something is of other actuators.
+        The two do not contain each segment once, or a result is of other actuators.
 
     Examples
     --------
@@ -251,16 +259,16 @@ class Parts(InParts[Part], Result):
 
     @property
     def _one(self) -> Part:
-        """What was found of the first segment."""
+        """The result of the first segment."""
         return next(iter(self.found.values()))
 
     @property
     def failures(self) -> tuple[tuple[int, str, str], ...]:
-        """The same as ``failed``, in rows: number, fault and remedy."""
+        """``failed`` as rows: number, fault and remedy."""
         return tuple((number, *one) for number, faults in self.failed.items() for one in faults)
 
     def column(self, attribute: Attribute) -> Array:
-        """Return (n,) a quantity of the actuators by its name, as 'alpha' or 'errors.1'."""
+        """Return (n,) an attribute of the actuators, as 'alpha' or 'errors.1'."""
         out = np.full(self.layout.n, np.nan)
         for number, one in self.found.items():
             out[self.of(number)] = value_of(one, attribute)
@@ -268,12 +276,12 @@ class Parts(InParts[Part], Result):
 
     @cached_property
     def verdict(self) -> Any:
-        """The verdict on all calibrations together; each finding names its segments."""
+        """The verdict on all calibrations; each finding names its segments."""
         return verdict_of.dispatch(type(self._one))(self)
 
     @property
     def table(self) -> QTable:
-        """One row per actuator: ID, X, Y, SEGMENT, and what was found, with units."""
+        """One row per actuator: ID, X, Y, SEGMENT, and the results, with units."""
         table = quantities(self, self._kind.actuators, without=("NZ", "ENABLED"))
         table.meta = {"INSTRUME": self.instrument}
         return table
@@ -285,12 +293,7 @@ class Parts(InParts[Part], Result):
 
 
 def refuse_other_mirror(given: Any, mirror: Any, than: str, path: str, remedy: str) -> None:
-    """Refuse what a path gives if it is not of a mirror, of which what ``than`` names is.
-
-    Raises
-    ------
-    CampaignMismatch
-    """
+    """Raise CampaignMismatch if the data of a path are not of a mirror; ``than`` names its data."""
     fault, apart = "", mirror.layout.other_actuators(given.layout)
     if given.instrument != mirror.instrument:
         fault = f"is of {given.instrument}, {than} of {mirror.instrument}"
@@ -303,28 +306,22 @@ def refuse_other_mirror(given: Any, mirror: Any, than: str, path: str, remedy: s
 
 
 def has_parts(data: object) -> TypeIs[InParts[Any]]:
-    """Tell whether something is of several segments, not of one body."""
+    """Return whether data or results are of several segments."""
     return isinstance(data, InParts)
 
 
 def by_number(made: Part | Parts[Part]) -> Mapping[int, Part]:
-    """Return what was found of each segment by its number; of one body by 0."""
+    """Return the result of each segment by its number; of one body by 0."""
     return made.found if isinstance(made, Parts) else {0: made}
 
 
 def apply(function: Callable[[Part], Made], made: Part | Parts[Part]) -> Made | Parts[Made]:
-    """Return what a function gives of one body, or of each part."""
+    """Apply a function to the result of one body, or to each part."""
     return made.map(function) if isinstance(made, Parts) else function(made)
 
 
 def parts_from(file: FitsFile, kind: ResultKind[Part]) -> Parts[Part]:
-    """Return the parts that a file holds.
-
-    Raises
-    ------
-    FormatError
-        The file breaks its contract.
-    """
+    """Return the parts in a file."""
     alpha = TableFormat(kind.name, (Column("ALPHA", "alpha"),))
     form = kind.whole
     values = file.values(FileFormat(form.keywords, (*form.extensions, alpha)))
@@ -339,10 +336,8 @@ def parts_from(file: FitsFile, kind: ResultKind[Part]) -> Parts[Part]:
             found[number] = kind.read(version)
         except TrueNewtonError as error:
             raise error.changed(fault=f"of segment {number}, {error.fault}") from None
-    try:
+    with naming(file.path):
         made = Parts(values["instrument"], layout, found, failed=failed)
-    except TrueNewtonError as error:
-        raise located(error, file.path) from None
     if not np.array_equal(made.column("alpha"), values["alpha"], equal_nan=True):
         raise FormatError(
             "ALPHA is not that of the segments", remedy="make the file again", path=file.path
@@ -351,11 +346,5 @@ def parts_from(file: FitsFile, kind: ResultKind[Part]) -> Parts[Part]:
 
 
 def body_or_parts_from(file: FitsFile, kind: ResultKind[Part]) -> Part | Parts[Part]:
-    """Return what a file holds: of one body, or of several segments.
-
-    Raises
-    ------
-    FormatError
-        The file breaks its contract.
-    """
+    """Return the result in a file, of one body or of several segments."""
     return parts_from(file, kind) if "SEGMENTS" in file.extensions else kind.read(file)

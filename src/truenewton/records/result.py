@@ -1,8 +1,7 @@
-"""What every result can do: be judged, summarised, written, kept beside others in one file.
+"""What all results have in common: verdict, summary, figures, and files of one or several segments.
 
-The columns and keywords of a result are declared next to its record, as a `ResultKind`. What needs
-more than the record, such as a verdict, a summary or figures, is registered for its class by the
-module that knows how; the methods of the record call what is registered.
+The columns and keywords of a result are declared next to its record, as a `ResultKind`. Verdict,
+summary and figures are registered for its class, since they need modules that need the record.
 """
 
 from __future__ import annotations
@@ -11,9 +10,9 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, singledispatch
+from operator import methodcaller
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from truenewton.arrays import Array
 from truenewton.files.content import FitsFile
 from truenewton.files.fits import write_fits
 from truenewton.files.format import (
@@ -32,7 +31,7 @@ Part = TypeVar("Part")
 
 
 class Summary(NamedTuple):
-    """A result in short: a headline, rows of cells, and remarks below them."""
+    """The summary of a result: a headline, rows of cells, and remarks below them."""
 
     headline: str
     rows: Iterable[Sequence[str]]
@@ -54,18 +53,13 @@ def verdict_of(result: Any) -> Any:
 
 @singledispatch
 def figures_of(result: Any) -> dict[str, Callable[..., Any]]:
-    """Return what draws each figure of a result, by name; it takes axes or none."""
+    """Return the function that draws each figure of a result, by name."""
     raise TypeError(f"there are no figures of {result!r}")
 
 
 @singledispatch
 def write(result: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a result as FITS; of several segments the extensions of each have EXTVER = its number.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
+    """Write a result as FITS; the extensions of a segment have EXTVER = its number."""
     kind, several = result._kind, result._one is not result
     form, of_version = (kind.whole, kind.form) if several else (kind.form, None)
     versions = result.found if several else None
@@ -73,11 +67,11 @@ def write(result: Any, path: str | os.PathLike[str], *, overwrite: bool = False)
 
 
 class Summarised:
-    """What a notebook shows as its summary."""
+    """A result that a notebook shows by its summary."""
 
     @property
     def _one(self) -> Any:
-        """The result itself; of several segments the first: what is done depends on its class."""
+        """The result, of several segments the first: its class selects what is registered."""
         return self
 
     def _repr_html_(self) -> str | None:
@@ -86,18 +80,18 @@ class Summarised:
 
 
 class Result(Summarised):
-    """A result of one body, or of several segments, that has a file."""
+    """A result that has a file, of one body or of several segments."""
 
     @property
     def _kind(self) -> ResultKind[Any]:
-        """Its columns, keywords and file."""
+        """The columns, keywords and file."""
         return KINDS[type(self._one)]
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the result (docs/files.md); of several segments all into one file.
+        """Write the result (docs/files.md), of all segments into one file.
 
-        The name ends in ``.fits`` or ``.fits.gz``; of a calibration also in ``.ecsv``, the table
-        with units and the verdict, in ``.csv``, the table alone, or in ``.npy``, alpha alone.
+        The name ends in ``.fits`` or ``.fits.gz``. A calibration can also be written as ``.ecsv``
+        (table with units, and the verdict), ``.csv`` (table only) or ``.npy`` (alpha only).
 
         Raises
         ------
@@ -124,16 +118,16 @@ SHARED = ("INSTRUME", "DATE-OBS", "DATE-END", "VERDICT")  # keywords of one body
 
 @dataclass(frozen=True, eq=False)
 class ResultKind(Generic[Part]):
-    """The columns, keywords and file of results of one class, and of those of several segments.
+    """The columns, keywords and files of the results of one class.
 
     Attributes
     ----------
     form, read
         The file of one body; its first extension has a row for each actuator.
     name
-        Of the table that has a row for each actuator of all segments.
+        Of the table of the actuators of all segments.
     summary
-        Keywords of one body that become columns of SEGMENTS, and what stands for a segment that
+        Keywords of one body that become columns of SEGMENTS, with the value for a segment that
         failed.
     counts
         Further columns of SEGMENTS: integers of a part by name.
@@ -147,10 +141,10 @@ class ResultKind(Generic[Part]):
 
     @cached_property
     def actuators(self) -> TableFormat:
-        """The table of all actuators; a column that a part may lack is left out."""
+        """The table of all actuators, without columns that a part may lack."""
         places = (ID, X, Y, NZ)
         own = [
-            Column(column.name, partial(_column, column.attribute), column.unit)
+            Column(column.name, methodcaller("column", column.attribute), column.unit)
             for column in self.form.extensions[0].columns  # type: ignore[union-attr]
             if column not in places and column.absent is not None
         ]
@@ -158,7 +152,7 @@ class ResultKind(Generic[Part]):
 
     @cached_property
     def whole(self) -> FileFormat:
-        """The file of all parts, but for the extensions of each."""
+        """The file of all parts, without the extensions of each."""
         keywords = {keyword.name: keyword for keyword in self.form.keywords}
         segments = [Column("SEGMENT", lambda parts: parts.numbers, kind="int")]
         segments += [_summary(keywords[name], none) for name, none in self.summary.items()]
@@ -175,19 +169,13 @@ class ResultKind(Generic[Part]):
 KINDS: dict[type, ResultKind[Any]] = {}
 
 
-def _column(attribute: Attribute, parts: Any) -> Array:
-    """Return (n,) what `Parts.column` does."""
-    values: Array = parts.column(attribute)
-    return values
-
-
 def _of_found(attribute: Attribute, parts: Any) -> dict[int, Any]:
     """Return an attribute of each part by its number."""
     return {number: value_of(one, attribute) for number, one in parts.found.items()}
 
 
 def _of_segments(attribute: Attribute, none: Any, parts: Any) -> list[Any]:
-    """Return an attribute of each part, or another value if there is no part or no value."""
+    """Return an attribute of each part, or ``none`` if there is no part or no value."""
     values = _of_found(attribute, parts)
     return [none if values.get(k) is None else values[k] for k in parts.numbers]
 

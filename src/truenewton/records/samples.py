@@ -1,9 +1,9 @@
-"""Streams of raw samples, averaged on the way to the rows of a cycle; never all in memory.
+"""Raw samples, averaged to the rows of a cycle, some megabytes at a time.
 
-Samples that follow each other with one SHAPE and SIGN are one row: their mean. What stands under
-SHAPE 0, or is not VALID, is on its way from shape to shape and takes no part. Samples of a servo
-hang together, so that the error of their mean is not their scatter over the root of their number:
-it comes from the means of eight batches of each row (as FORCERR of the simulated loop does).
+Consecutive samples with the same SHAPE and SIGN are one row, their mean. Samples with SHAPE 0, or
+that are not VALID, are taken between shapes and are not used. Samples of a control loop are
+correlated, so the error of their mean is not their scatter over the root of their number: it is
+estimated from the means of eight batches of each row (as FORCERR of the simulated loop).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from truenewton.files.stored_rows import (
     state_of,
 )
 
-BATCHES = 8  # of a row; of fewer samples each is one
+BATCHES = 8  # of a row; if it has fewer samples, each is a batch
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,9 @@ class SampleMeans:
     first, number
         (N,) first sample of each row, and how many.
     mean, variance
-        (N, n) mean of the samples, and variance of one of them; NaN of a lone one.
+        (N, n) mean of the samples, and variance of one of them; NaN for single samples.
     of_mean
-        (N, n) variance of the mean, from its batches; NaN of a lone one.
+        (N, n) variance of the mean, from its batches; NaN for single samples.
     """
 
     first: NDArray[np.int64]
@@ -54,14 +54,9 @@ class SampleMeans:
 
 @dataclass(frozen=True, eq=False)
 class AveragedRows(StoredRows):
-    """Means of samples that stay in their file, (N, n): averaged anew whenever they are used.
+    """Means of samples that stay in their file, (N, n): averaged whenever they are used.
 
-    Attributes
-    ----------
-    samples
-        (m, n), left in the file, in the unit wanted.
-    first, number
-        (N,) first sample of each row, and how many.
+    ``samples`` are (m, n), converted; ``first`` and ``number`` as of `SampleMeans`.
     """
 
     samples: StoredRows = field(kw_only=True)
@@ -69,7 +64,7 @@ class AveragedRows(StoredRows):
     number: NDArray[np.int64] = field(kw_only=True)
 
     def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
-        """Average the `span` of some rows, (rows, span); those that follow each other together."""
+        """Average the `span` of some rows, (rows, span)."""
         if state_of(file) != self.state:
             raise EOFError
         spanned = np.zeros(self.samples.shape[1], dtype=bool)
@@ -83,7 +78,7 @@ class AveragedRows(StoredRows):
 
 
 def left_in_file(samples: Rows, means: SampleMeans, counted: Iterable[NDArray[np.bool_]]) -> Rows:
-    """Return the means of (m, n) samples as rows that stay in their file; others as they are.
+    """Return the means of (m, n) samples in a file as rows that stay there, others as an array.
 
     The largest of each row is kept for each (n,) columns of ``counted``.
     """
@@ -100,7 +95,7 @@ def left_in_file(samples: Rows, means: SampleMeans, counted: Iterable[NDArray[np
 def rows_of_samples(
     shape: NDArray[np.int64], sign: NDArray[np.int64], valid: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (N,) the first sample of each row, and how many it has, of (m,) samples."""
+    """Return (N,) first sample and number of samples of each row, of (m,) samples."""
     counts = valid & (shape > 0)
     label = np.where(counts, 2 * shape + (sign > 0), 0)
     first = np.flatnonzero(np.diff(label, prepend=label[:1] - 1))
@@ -109,13 +104,13 @@ def rows_of_samples(
     if not some.any():
         raise FormatError(
             "SAMPLES has no valid sample of a shape",
-            remedy="count shapes from 1 in SHAPE; 0 stands for the way from one to the next",
+            remedy="count shapes from 1 in SHAPE; 0 is for samples between shapes",
         )
     return first[some], number[some]
 
 
 def sample_means(values: Rows, first: NDArray[np.int64], number: NDArray[np.int64]) -> SampleMeans:
-    """Average (m, n) samples, some megabytes at a time; (N,) rows as of `rows_of_samples`."""
+    """Average (m, n) samples; ``first`` and ``number`` (N,) as of `rows_of_samples`."""
     n = values.shape[1]
     batches = np.minimum(BATCHES, number)
     mean, within, between = np.zeros((3, len(first), n))
@@ -151,7 +146,7 @@ def sample_means(values: Rows, first: NDArray[np.int64], number: NDArray[np.int6
 def _batches(
     first: NDArray[np.int64], number: NDArray[np.int64], batches: NDArray[np.int64], wide: int
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield batches of rows, as many as are read at once: their rows, first samples and numbers."""
+    """Yield the batches that are read at once: their rows, first samples and numbers."""
     of_row = np.repeat(np.arange(len(first)), batches)
     k = np.arange(len(of_row)) - np.repeat(np.cumsum(batches) - batches, batches)
     edges = [(k + more) * number[of_row] // batches[of_row] for more in (0, 1)]

@@ -1,4 +1,4 @@
-"""What was measured of a mirror in several segments, which balance each by itself."""
+"""Data of a mirror in several segments, each of which balances separately."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
-# Of what stands between segments: standard deviations by which it is reciprocal, as noise is not;
-# and its rms in terms of that of a segment's own elements, beyond which it is no mere noise either.
-RECIPROCAL, LARGE, ROUNDING = 6.0, 0.3, 1e-9
+# Elements between segments that are more than noise: they are reciprocal, which noise is not, or
+# their rms is large relative to that of a segment's own elements; or they are only rounding.
+MIN_RECIPROCITY = 6.0  # standard deviations
+MAX_RELATIVE_RMS, ROUNDING = 0.3, 1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -29,15 +30,15 @@ class SegmentedData(InParts[Campaign | StiffnessMatrix]):
     Attributes
     ----------
     cycles
-        Of all segments, or each of one or some; those of the same segments ordered by load, the
-        bare one first, then by number. Empty where there is a matrix alone.
+        Of all segments, or each of one or some; those of the same segments are ordered by load,
+        the bare one first, then by number. Empty if there is only a matrix.
     stiffness
         Of all segments; or None.
 
     Raises
     ------
     CampaignMismatch
-        Cycles that disagree on the mirror, a weight or the actuators, or stand twice.
+        Cycles disagree on the mirror, a weight or the actuators, or are given twice.
     FormatError
         The mirror is in one piece, or nothing was given.
 
@@ -59,8 +60,8 @@ class SegmentedData(InParts[Campaign | StiffnessMatrix]):
                 refuse_foreign(self.stiffness, self.cycles[0])
             elif self.stiffness is not None:
                 raise FormatError(
-                    "a stiffness matrix stands among cycles of single segments",
-                    remedy="calibrate it by itself",
+                    "a stiffness matrix was given with cycles of single segments",
+                    remedy="calibrate it separately",
                     path=self.stiffness.source.file if self.stiffness.source else None,
                 )
         elif self.stiffness is None:
@@ -82,7 +83,7 @@ class SegmentedData(InParts[Campaign | StiffnessMatrix]):
 
     @property
     def _groups(self) -> dict[tuple[int, ...], Cycle]:
-        """The first cycle of those that are of the same segments, by the numbers of these."""
+        """The first cycle of each set of segments, by their numbers."""
         return {cycle.numbers: cycle for cycle in self.cycles[::-1]}
 
     def _joined_layout(self) -> Layout:
@@ -105,14 +106,8 @@ class SegmentedData(InParts[Campaign | StiffnessMatrix]):
         return self.stiffness
 
     def _part(self, number: int) -> Campaign | StiffnessMatrix:
-        """Return what was measured of one segment: a mirror in one piece.
-
-        Raises
-        ------
-        GeometryError, FormatError
-            It has no actuator that is enabled, or its data hold what they may not.
-        """
-        matrix = None if self.stiffness is None else segment_of_matrix(self.stiffness, number)
+        """Return the data of one segment as those of a mirror in one piece."""
+        matrix = None if self.stiffness is None else _part_of_matrix(self.stiffness, number)
         own = tuple(_part(cycle, number) for cycle in self.cycles if number in cycle.numbers)
         if own:
             return Campaign(own, matrix)
@@ -121,30 +116,25 @@ class SegmentedData(InParts[Campaign | StiffnessMatrix]):
 
 
 def mirror_of(cycle: Cycle) -> str:
-    """Return the name of the whole mirror: INSTRUME, which may end in a single segment's number."""
+    """Return the name of the whole mirror: INSTRUME without the number of a single segment."""
     name, numbers = cycle.instrument, cycle.numbers
     return name.removesuffix(f" segment {numbers[0]}") if len(numbers) == 1 else name
 
 
 def _part(cycle: Cycle, number: int) -> Cycle:
-    """Return what concerns one segment, called by its number."""
+    """Return a cycle of one segment, with its number in INSTRUME."""
     if cycle.layout.segments:
         return cycle.of_segment(number)
     return replace(cycle, instrument=f"{mirror_of(cycle)} segment {number}")
 
 
 def in_segments(cycles: Sequence[Cycle]) -> bool:
-    """Tell whether cycles are of a mirror in several segments, or of single ones that differ."""
+    """Return whether cycles are of more than one segment."""
     return len({number for cycle in cycles for number in cycle.numbers}) > 1
 
 
 def _ordered(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
-    """Return cycles by the segments that they are of, then in the order of a campaign.
-
-    Raises
-    ------
-    FormatError, CampaignMismatch
-    """
+    """Return cycles by segment, then in the order of a campaign, if they are of one mirror."""
     groups: dict[tuple[int, ...], list[Cycle]] = {}
     for cycle in cycles:
         groups.setdefault(cycle.numbers, []).append(cycle)
@@ -156,21 +146,15 @@ def _ordered(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
             )
     if () in groups and len(groups) > 1:
         raise FormatError(
-            "says of no segment that it is of, where others do",
-            remedy="give ACTUATORS the column SEGMENT",
+            "has no segment, and other files have",
+            remedy="add the column SEGMENT to ACTUATORS",
             path=groups[()][0].name,
         )
     return tuple(cycle for numbers in sorted(groups) for cycle in ordered_cycles(groups[numbers]))
 
 
 def _joined(parts: Sequence[Layout]) -> Layout:
-    """Return the actuators of several layouts, one after the other; None where one has none.
-
-    Raises
-    ------
-    GeometryError
-        They do not go together.
-    """
+    """Return the actuators of several layouts in turn, without columns that one does not have."""
     columns: dict[str, Any] = {}
     for name in (each.name for each in fields(Layout)):
         column = [getattr(part, name) for part in parts]
@@ -179,13 +163,8 @@ def _joined(parts: Sequence[Layout]) -> Layout:
     return Layout(**columns)
 
 
-def segment_of_matrix(matrix: StiffnessMatrix, number: int) -> StiffnessMatrix:
-    """Return the stiffness of one segment of a mirror.
-
-    Raises
-    ------
-    GeometryError, FormatError
-    """
+def _part_of_matrix(matrix: StiffnessMatrix, number: int) -> StiffnessMatrix:
+    """Return the stiffness of one segment of a mirror."""
     chosen = np.asarray(matrix.layout.segment) == number
     return replace(
         matrix,
@@ -196,28 +175,21 @@ def segment_of_matrix(matrix: StiffnessMatrix, number: int) -> StiffnessMatrix:
 
 
 def refuse_segments(matrix: StiffnessMatrix) -> None:
-    """Refuse a stiffness matrix of several segments where one body is wanted.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Raise FormatError for a stiffness matrix of several segments."""
     if pieces := matrix.layout.segments:
         raise FormatError(
-            f"STIFFNESS is of {len(pieces)} segments, which balance each by itself",
+            f"STIFFNESS is of {len(pieces)} segments, which balance separately",
             remedy="give SegmentedData(stiffness=...), or a segment of it",
             path=matrix.source.file if matrix.source else None,
         )
 
 
 def segment_couplings(matrix: StiffnessMatrix) -> dict[int, tuple[float, float]]:
-    """Return, of each segment that is coupled to others by more than noise, by how much.
+    """Return the segments that are coupled to others by more than noise.
 
-    The rms of the elements to others, and of its own [N/m].
-
-    Segments do not touch, so all that may stand between them is noise: a force that answers a
-    displacement the other way round too (Maxwell-Betti), or one as large as those of a segment
-    itself, is none.
+    For each: the rms of the elements between it and others, and of its own elements [N/m]. Segments
+    do not touch, so elements between them should be noise: neither reciprocal (Maxwell-Betti) nor
+    as large as the segment's own.
     """
     on, segment = matrix.layout.enabled, np.asarray(matrix.layout.segment)
     couplings = {}
@@ -232,7 +204,7 @@ def segment_couplings(matrix: StiffnessMatrix) -> dict[int, tuple[float, float]]
         if not size > ROUNDING * usual:
             continue
         alike = float(np.mean(there * back)) / max(_rms(there) * _rms(back), 1e-300)
-        if alike * np.sqrt(there.size) > RECIPROCAL or size > LARGE * usual:
+        if alike * np.sqrt(there.size) > MIN_RECIPROCITY or size > MAX_RELATIVE_RMS * usual:
             couplings[number] = size, usual
     return couplings
 

@@ -11,7 +11,7 @@ import numpy as np
 from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.quantities import MAX_MAGNITUDE, Quantity, convert_quantities
-from truenewton.records.source import Source, check_date
+from truenewton.records.cycle import Source, check_date
 from truenewton.statics.layout import Layout
 
 DISPLACED = ("read", "true")
@@ -29,13 +29,12 @@ class StiffnessMatrix:
     layout
         The n actuators.
     stiffness
-        (n, n), commanded force of actuator i per unit displacement of sensor j [N/m]; a Quantity is
+        (n, n) commanded force of actuator i per displacement of sensor j [N/m]; a Quantity is
         converted.
     source
         The file, or None.
     displaced
-        'read' where displacements are those that the sensors read, 'true' where what is known of
-        the sensors is in them already.
+        'read' if displacements are sensor readings, 'true' if they are corrected for the sensors.
 
     Examples
     --------

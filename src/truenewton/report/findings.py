@@ -11,8 +11,8 @@ from truenewton.errors import Fault, UnknownName
 from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Source
 from truenewton.records.result import figures_of
-from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.evidence import Evidence
 

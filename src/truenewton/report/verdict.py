@@ -14,8 +14,8 @@ from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale, scale_total, typical
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
+from truenewton.records.cycle import Source
 from truenewton.records.parts import Parts, has_parts
-from truenewton.records.source import Source
 from truenewton.report.change import Change
 from truenewton.report.findings import Findings
 from truenewton.rounding import counted, named, percent, significant, to_digits, with_error

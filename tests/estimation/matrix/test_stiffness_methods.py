@@ -19,7 +19,7 @@ from truenewton.estimation.matrix.modes import (
 )
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.reading import read_data
-from truenewton.records.source import Source
+from truenewton.records.cycle import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 REAL = os.environ.get("TRUENEWTON_REAL_DATA")

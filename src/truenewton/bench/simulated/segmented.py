@@ -18,8 +18,7 @@ from truenewton.errors import BenchFault
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.mirrors.shell.shell_model import ShellModel, model_shell
-from truenewton.records.cycle import Cycle
-from truenewton.records.segment import Segment, sums_of
+from truenewton.records.cycle import Cycle, Segment, sums_of
 from truenewton.statics.arms import effective_weight, external_load
 
 SEEDS = 1000  # of one mirror: more segments than that would share their noise

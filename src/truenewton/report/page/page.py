@@ -19,8 +19,8 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.summary import headline, summary_rows
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
+from truenewton.records.cycle import Source
 from truenewton.records.parts import has_parts
-from truenewton.records.source import Source
 from truenewton.report.change import Change
 from truenewton.report.figures import findings_figures
 from truenewton.report.page.sections import (
