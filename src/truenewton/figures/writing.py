@@ -41,12 +41,7 @@ def write_drawn(
     *,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Draw figures and write them, by name, as PDF and PNG into a folder; return the paths.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
+    """Draw figures and write them, by name, as PDF and PNG into a folder; return the paths."""
     suffixes = (".pdf", ".png")
     with folder_beside(folder, suffixes, overwrite=overwrite) as temporary:
         for name, draw in figures.items():
@@ -57,12 +52,7 @@ def write_drawn(
 
 
 def write_figure(ax: Axes, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the figure of some axes as PNG, PDF or SVG, whatever the name ends in.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
+    """Write the figure of some axes as PNG, PDF or SVG, whatever the name ends in."""
     if Path(path).suffix not in (".png", ".pdf", ".svg"):
         raise OutputFailed(
             "is no name for a figure", remedy="let it end in .png, .pdf or .svg", path=path

@@ -173,11 +173,6 @@ class Shell:
 
         The balance needs the distance from the axis, as in a layout; the model of the shell needs
         the arc length. On a flat shell they are equal.
-
-        Raises
-        ------
-        GeometryError
-            A point beside the sphere.
         """
         sine = np.hypot(x, y) / abs(self.radius_of_curvature)
         if not (sine <= 1).all():
@@ -194,10 +189,6 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
     """Refuse invalid radii, thickness, material and curvature.
 
     The smallest hole is the minimum of the inner radius, in outer radii.
-
-    Raises
-    ------
-    GeometryError
     """
     a, b, curvature = shell.inner_radius, shell.outer_radius, shell.radius_of_curvature
     if not smallest_hole * b <= a < b < np.inf:

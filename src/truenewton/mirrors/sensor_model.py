@@ -62,11 +62,6 @@ def displaced_readings(glass: ShellModel) -> Array:
     -------
     numpy.ndarray
         (5, n, n) derivatives along x, y [1/m], xx, xy, yy [1/m2] of the layout, with fixed normals.
-
-    Raises
-    ------
-    GeometryError
-        A sensor that touches its puck, another's or an edge.
     """
     steps = STEP * np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)])
     here = np.eye(glass.mirror.layout.n)
@@ -145,12 +140,7 @@ def sensor_model(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
 
 
 def segment_sensor_models(mirror: SegmentedMirror, layout: Layout) -> dict[int, Array]:
-    """Return the model of each segment of a layout by its number, (6, k, k) or (1, k, k).
-
-    Raises
-    ------
-    CampaignMismatch, GeometryError
-    """
+    """Return the model of each segment of a layout by its number, (6, k, k) or (1, k, k)."""
     number = np.unique(np.asarray(_same_in(mirror, layout).segment)).tolist()
     blocks: dict[int, Array] = {}
     for glass, alike in mirror.kinds:
@@ -161,13 +151,7 @@ def segment_sensor_models(mirror: SegmentedMirror, layout: Layout) -> dict[int, 
 
 
 def edges_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> list[Array]:
-    """Return the edges of the glass of the segments in a layout, (vertices, 2) each [m].
-
-    Raises
-    ------
-    CampaignMismatch
-        The actuators are not those of the mirror.
-    """
+    """Return the edges of the glass of the segments in a layout, (vertices, 2) each [m]."""
     known = _same_in(mirror, layout)
     if isinstance(mirror, SegmentedMirror):
         return mirror.seen_edges(np.unique(np.asarray(known.segment)).tolist())
@@ -175,12 +159,7 @@ def edges_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> list[Array]:
 
 
 def _same_in(mirror: Mirror | SegmentedMirror, layout: Layout) -> Layout:
-    """Return the actuators of data as the mirror has them, with their segments.
-
-    Raises
-    ------
-    CampaignMismatch
-    """
+    """Return the actuators of data as the mirror has them, with their segments."""
     segmented, known = isinstance(mirror, SegmentedMirror), mirror.layout
     if segmented:
         measured = np.isin(known.id, layout.id)

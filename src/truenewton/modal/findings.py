@@ -402,12 +402,7 @@ def _of_segments(
     slaved: Sequence[int],
     **same: Any,
 ) -> Parts[ModalFindings]:
-    """Find the modes of each segment by itself, parameters as of `find_modes`.
-
-    Raises
-    ------
-    RankDeficient, CampaignMismatch, UnknownName
-    """
+    """Find the modes of each segment by itself, parameters as of `find_modes`."""
     layout = data.layout
     apart = "" if calibration is None else calibration.layout.other_actuators(layout)
     if apart:
@@ -475,12 +470,7 @@ def _with_alpha(
 
 
 def _usable(calibration: Calibration, *, force: bool) -> Calibration:
-    """Return the calibration, with alpha = 1 if the stiffness is in true Newtons already.
-
-    Raises
-    ------
-    NotToBeUsed
-    """
+    """Return the calibration, with alpha = 1 if the stiffness is in true Newtons already."""
     if _true_already(calibration):
         return replace(calibration, alpha=calibration.alpha / calibration.alpha)  # NaN where off
     refuse_unusable(calibration, force=force)
@@ -493,12 +483,7 @@ def _true_already(calibration: Calibration) -> bool:
 
 
 def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:
-    """Refuse a stiffness most of whose elastic modes are negative, unless forced.
-
-    Raises
-    ------
-    NotToBeUsed
-    """
+    """Refuse a stiffness most of whose elastic modes are negative, unless forced."""
     elastic = modes.stiffness[3:]
     negative = int(np.count_nonzero(elastic < 0.0))
     if 2 * negative > elastic.size and not force:

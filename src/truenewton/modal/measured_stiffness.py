@@ -67,26 +67,17 @@ class Products:
 
 @dataclass(frozen=True, eq=False)
 class ShapeProducts:
-    """The sums that the regression needs.
+    """The sums that the regression needs."""
 
-    Attributes
-    ----------
-    between, within
-        Sums over distinct shapes, and over deviations of rows from their repeats.
-    shapes, rows, spare
-        Number of distinct shapes, of rows, and of degrees of freedom of their repeats.
-    weight
-        Sum of the weights of the rows.
-    position_variance
-        Of a reading in a row of weight 1, from repeats and negatives; NaN if there are none [m^2].
-    """
-
+    # sums over distinct shapes, and over deviations of rows from their repeats
     between: Products
     within: Products
+    # number of distinct shapes, of rows, and of degrees of freedom of their repeats
     shapes: int
     rows: int
     spare: int
-    weight: float
+    weight: float  # sum of the weights of the rows
+    # of a reading in a row of weight 1, from repeats and negatives; NaN if there are none [m^2]
     position_variance: float
 
 
@@ -297,12 +288,6 @@ def motion_reader(screened: ScreenedCampaign) -> MotionReader:
     """Return a reader of force and displacement of all rows without outliers.
 
     If the campaign contains a stiffness, only the force at rest is read.
-
-    Raises
-    ------
-    RankDeficient
-        No cycle contains POSITION.
-    TooManyOutliers
     """
     campaign, on = screened.campaign, screened.campaign.layout.enabled
     if campaign.stiffness is not None:
@@ -343,11 +328,6 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     The standard error of element i, j is s_i (S^-1)_jj^1/2 with S = sum z z', and s_i^2 the larger
     of the residual variances of repeats and of distinct shapes; it includes noise of force and of
     position.
-
-    Raises
-    ------
-    RankDeficient
-        Elastic motions that no shape contains, or a sensor with frozen readings in all files.
     """
     cycles = reader.positioned
     frozen = tuple(frozen_sensors(Campaign(cycles)))
@@ -421,11 +401,6 @@ def _along_rigid(missing: Array, layout: Layout, has_opposites: bool) -> Array:
 
     It keeps the motions of the shapes, and removes as many rigid motions as there are (n, d)
     ``missing`` directions, those nearest to them.
-
-    Raises
-    ------
-    RankDeficient
-        A missing direction is not rigid.
     """
     n, count = missing.shape
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]

@@ -203,11 +203,6 @@ def dissipation(
     """Return residual and cost of correcting turbulence with 1..m modes, see `Dissipation`.
 
     The (m, m) modes are orthonormal on the commanded actuators; static forces are (n,) [N].
-
-    Raises
-    ------
-    FormatError
-        An efficiency that is not positive.
     """
     if not MIN_EFFICIENCY <= efficiency <= 1.0 / MIN_EFFICIENCY:
         raise FormatError(

@@ -47,15 +47,7 @@ MIN_ACTUATORS = 4  # three would leave rigid motions only
 def off_and_slaved(
     layout: Layout, off: Sequence[int], slaved: Sequence[int]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return (n,) which actuators are off and (n,) which are slaved, from their IDs.
-
-    Raises
-    ------
-    UnknownName
-        An ID that does not exist, or that is both.
-    RankDeficient
-        Too few are left to command.
-    """
+    """Return (n,) which actuators are off and (n,) which are slaved, from their IDs."""
     floats, follows = _named(layout, off, "off"), _named(layout, slaved, "slaved")
     if (floats & follows).any():
         both = int(layout.id[floats & follows][0])
@@ -90,13 +82,7 @@ def _named(layout: Layout, ids: Sequence[int], what: str) -> NDArray[np.bool_]:
 
 
 def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | None) -> Array:
-    """Return (n,) alpha of the actuators of a mirror by their IDs; 1 without calibration.
-
-    Raises
-    ------
-    CampaignMismatch
-        The calibration belongs to another mirror, or lacks an actuator.
-    """
+    """Return (n,) alpha of the actuators of a mirror by their IDs; 1 without calibration."""
     if calibration is None:
         return np.ones(layout.n)
     remedy = "give the calibration of the same mirror"
@@ -347,10 +333,6 @@ def _sensors(
     """Return (n,) gains and (2, n) offsets [m] of the sensors of the enabled actuators.
 
     They are those given, otherwise those of the calibration, as far as they are known.
-
-    Raises
-    ------
-    FormatError
     """
     gain, offset, on = np.ones(layout.n), np.zeros((2, layout.n)), matrix.layout.enabled
     if sensor_gain is not None:
@@ -399,11 +381,6 @@ def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) 
     """Return (n - m, m) displacements of the actuators that are not commanded.
 
     k is overwritten by the stiffness of all that act, as if slaved ones were commanded.
-
-    Raises
-    ------
-    RankDeficient
-        Floating actuators are not held.
     """
     acts, commanded = ~floats, ~(floats | follows)
     floating = np.zeros((int(floats.sum()), len(k)))

@@ -170,18 +170,10 @@ def less_mean(C: Array, with_mean: Array, of_mean: float) -> Array:
 
 @dataclass(frozen=True)
 class Pupil:
-    """The size of the mirror and of the entrance pupil that it fills.
+    """The size of the mirror and of the entrance pupil that it fills."""
 
-    Attributes
-    ----------
-    radius
-        Of the optical surface of the mirror in the plane of x and y [m].
-    diameter
-        Of the entrance pupil [m].
-    """
-
-    radius: float
-    diameter: float
+    radius: float  # of the optical surface of the mirror in the plane of x and y [m]
+    diameter: float  # of the entrance pupil [m]
 
     def __post_init__(self) -> None:
         for name in ("radius", "diameter"):
@@ -211,11 +203,6 @@ def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None
 
     The default radius [m] is that of the outermost actuator plus half a spacing; the default
     diameter [m] is magnified as by LBT's secondaries, 4.11 m in the pupil for 0.452 m.
-
-    Raises
-    ------
-    FormatError
-        Invalid diameter or radius.
     """
     if radius is None:
         outermost = float(np.hypot(*centred(layout)).max())
@@ -225,21 +212,14 @@ def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SeenTurbulence:
-    """Turbulence at n actuators of which m are commanded, and two modal bases.
+    """Turbulence at n actuators of which m are commanded, and two modal bases."""
 
-    Attributes
-    ----------
-    atmosphere, pupil
-        The turbulence, and the pupil that the mirror fills.
-    wavefront
-        (n, n) covariance of the wavefront relative to its mean over the commanded [m^2].
-    zernike, karhunen_loeve
-        (m, m) modes, orthonormal on the commanded, one a column.
-    """
-
+    # the turbulence, and the pupil that the mirror fills
     atmosphere: Atmosphere
     pupil: Pupil
+    # (n, n) covariance of the wavefront relative to its mean over the commanded [m^2]
     wavefront: Array
+    # (m, m) modes, orthonormal on the commanded, one a column
     zernike: Array
     karhunen_loeve: Array
 
@@ -264,13 +244,7 @@ class SeenTurbulence:
 def seen_turbulence(
     layout: Layout, commanded: NDArray[np.bool_], atmosphere: Atmosphere, pupil: Pupil
 ) -> SeenTurbulence:
-    """Return the turbulence at the n actuators of a mirror, of which (n,) ``commanded`` are true.
-
-    Raises
-    ------
-    GeometryError
-        Actuators so close to each other that Zernikes do not distinguish them.
-    """
+    """Return the turbulence at n actuators; (n,) ``commanded`` is true for those with commands."""
     x, y = (each / pupil.radius for each in centred(layout))
     half = 0.5 * pupil.diameter
     wavefront = wavefront_covariance(half * x, half * y, atmosphere)

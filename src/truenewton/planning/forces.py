@@ -22,31 +22,20 @@ from truenewton.statics.arms import arms
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A plan with the forces that the model of the shell gives.
+    """A plan with the forces that the model of the shell gives."""
 
-    Attributes
-    ----------
-    plan, mirror
-        The plan with its number of turns, and the mirror.
-    glass
-        The shell model with the enabled actuators.
-    shapes, force
-        (shapes, n) displacements [m] and their commanded forces without those of the loads [N].
-    own, tool
-        (n_enabled,) true forces that hold the flat mirror, its axis vertical, under the weight of
-        glass and magnets, and per Newton of added weight, along +z as all forces [N].
-    given
-        Whether a file gives the shapes, so that they cannot be scaled.
-    """
-
+    # the plan with its number of turns, and the mirror
     plan: CampaignPlan
     mirror: Mirror
-    glass: ShellModel
+    glass: ShellModel  # the shell model with the enabled actuators
+    # (shapes, n) displacements [m] and their commanded forces without those of the loads [N]
     shapes: Array
     force: Array
+    # (n_enabled,) true forces that hold the flat mirror, its axis vertical, under the weight of
+    # glass and magnets, and per Newton of added weight, along +z as all forces [N]
     own: Array
     tool: Array
-    given: bool
+    given: bool  # whether a file gives the shapes, so that they cannot be scaled
 
     @property
     def rest_force(self) -> Array:
@@ -65,12 +54,7 @@ class Prepared:
 
 
 def prepared(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Prepared:
-    """Return a plan with its forces; files that it names are relative to a folder.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return a plan with its forces; files that it names are relative to a folder."""
     return _prepared(plan, planned_mirror(plan, folder), folder)
 
 
@@ -103,34 +87,20 @@ def holding(glass: ShellModel) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Strain:
-    """The largest forces and displacements of a plan.
+    """The largest forces and displacements of a plan."""
 
-    Attributes
-    ----------
-    force, actuator, load
-        Largest commanded force [N], the ID of its actuator, the name of the load.
-    force_at_worst
-        The same if this actuator's alpha were the lowest of its range [N].
-    stroke, gap
-        Largest displacement of an actuator, smallest distance from the reference plate [m].
-    """
-
+    # largest commanded force [N], the ID of its actuator, the name of the load
     force: float
     actuator: int
     load: str
-    force_at_worst: float
+    force_at_worst: float  # the same if this actuator's alpha were the lowest of its range [N]
+    # largest displacement of an actuator, smallest distance from the reference plate [m]
     stroke: float
     gap: float
 
 
 def strain(ready: Prepared) -> Strain:
-    """Return the largest forces and displacements of a plan.
-
-    Raises
-    ------
-    LimitExceeded
-        They exceed the limits of the plan.
-    """
+    """Return the largest forces and displacements of a plan."""
     plan, mirror, limits = ready.plan, ready.mirror, ready.plan.limits
     on, alpha = mirror.layout.enabled, expected_alpha(mirror)
     of_shapes = np.abs(ready.force[:, on]).max(axis=0)  # of both signs

@@ -59,12 +59,7 @@ MAX_TILT, TILT_ERROR = 60, 0.1  # of a mirror that is leaned by hand [deg, guess
 
 
 def predict_errors(ready: Prepared) -> Prediction:
-    """Return the errors that a plan will give.
-
-    Raises
-    ------
-    RankDeficient
-    """
+    """Return the errors that a plan will give."""
     return _predict_for(ready, [ready.plan.cycles])[0]
 
 
@@ -84,17 +79,10 @@ def _beforehand(ready: Prepared) -> tuple[Campaign, Moments, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Errors of alpha as a function of cycles or weights.
+    """Errors of alpha as a function of cycles or weights."""
 
-    Attributes
-    ----------
-    values
-        (m,) cycles, or factors of the added weights.
-    error, reading_error, systematic_error
-        (m,) medians of E_ALPHA, E_STAT and E_SYST, relative to alpha.
-    """
-
-    values: Array
+    values: Array  # (m,) cycles, or factors of the added weights
+    # (m,) medians of E_ALPHA, E_STAT and E_SYST, relative to alpha
     error: Array
     reading_error: Array
     systematic_error: Array
@@ -102,35 +90,18 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class WithSensors:
-    """What `reciprocity` will give in addition, with a known model of the glass.
+    """What `reciprocity` will give in addition, with a known model of the glass."""
 
-    Attributes
-    ----------
-    planned
-        Of alpha; None if reciprocity is not possible.
-    gain_error, offset_error
-        (n,) of the sensor gains, relative, and of the offsets, rms of both axes [m]; 0 if known.
-    against_cycles
-        Of alpha.
-    why_not
-        Why reciprocity is not possible.
-    """
-
-    planned: Prediction | None
+    planned: Prediction | None  # of alpha; None if reciprocity is not possible
+    # (n,) of the sensor gains, relative, and of the offsets, rms of both axes [m]; 0 if known
     gain_error: Array
     offset_error: Array
-    against_cycles: Curve
-    why_not: str = ""
+    against_cycles: Curve  # of alpha
+    why_not: str = ""  # why reciprocity is not possible
 
 
 def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
-    """Predict the errors of `reciprocity --mirror` for some cycles, including those planned.
-
-    Raises
-    ------
-    RankDeficient
-        The balance alone does not give alpha either.
-    """
+    """Predict the errors of `reciprocity --mirror` for some cycles, including those planned."""
     plan, layout = ready.plan, ready.mirror.layout
     repeats = 2 * len(plan.loads)
     try:
@@ -160,26 +131,17 @@ class ThirdLoad:
     equation is left, v'(S + W / s) = 0 with v orthogonal to S and to 1: a wrong weight violates it,
     and so does anything that carries part of the weight. The third load is as heavy and as well
     known as the one that gives the scale.
-
-    Attributes
-    ----------
-    like
-        Name of the load that it equals, and whose errors it shows.
-    seen
-        Smallest detectable error of that load, or part of it carried by something else [N].
-    relative
-        The same relative to the difference between the loads: the undetected error of the scale.
-    duration, mountings
-        Additional time [s] and mountings.
-    error, error_now
-        Of the scale with and without it, drift and mounting included.
     """
 
-    like: str
+    like: str  # name of the load that it equals, and whose errors it shows
+    # smallest detectable error of that load, or part of it carried by something else [N]
     seen: float
+    # the same relative to the difference between the loads: the undetected error of the scale
     relative: float
+    # additional time [s] and mountings
     duration: float
     mountings: int
+    # of the scale with and without it, drift and mounting included
     error: float
     error_now: float
 
@@ -286,12 +248,7 @@ def predict_plan(path: str | os.PathLike[str]) -> PlanPrediction:
 
 
 def predict_prepared(ready: Prepared) -> PlanPrediction:
-    """Predict the errors of a plan whose forces are known.
-
-    Raises
-    ------
-    LimitExceeded, RankDeficient, FormatError
-    """
+    """Predict the errors of a plan whose forces are known."""
     asked, cycles = strain(ready), _cycles_around(ready.plan.cycles)
     by_cycles = _predict_for(ready, cycles)
     prediction = by_cycles[cycles.index(ready.plan.cycles)]
@@ -351,30 +308,14 @@ def _curve(values: list[float], predictions: list[Prediction]) -> Curve:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A change of one property of a plan.
+    """A change of one property of a plan."""
 
-    Attributes
-    ----------
-    what
-        'cycles', 'added weight', 'balance', 'tilt' or 'shapes'.
-    reached
-        Whether it reaches the wanted error.
-    change
-        Description of the change, or why there is none.
-    plan
-        The changed plan; None if there is no such change.
-    error
-        Its median E_ALPHA relative to alpha.
-    duration
-        [s]
-    """
-
-    what: str
-    reached: bool
-    change: str
-    plan: CampaignPlan | None
-    error: float
-    duration: float
+    what: str  # 'cycles', 'added weight', 'balance', 'tilt' or 'shapes'
+    reached: bool  # whether it reaches the wanted error
+    change: str  # description of the change, or why there is none
+    plan: CampaignPlan | None  # the changed plan; None if there is no such change
+    error: float  # its median E_ALPHA relative to alpha
+    duration: float  # [s]
 
 
 def suggest_changes(ready: Prepared, target: float) -> tuple[Change, ...]:

@@ -118,11 +118,6 @@ def predict(
         How many times each cycle will be run.
     alpha
         (n,) of the enabled actuators; 1 by default.
-
-    Raises
-    ------
-    RankDeficient
-        The shapes or the actuators cannot determine alpha, whatever the noise.
     """
     known = pose_known_truth(campaign, moments, alpha)
     of_loads, *elastic = known.problem.data(moments)
@@ -133,30 +128,15 @@ def predict(
 
 @dataclass(frozen=True, eq=False)
 class KnownTruth:
-    """The problem of a campaign whose truth is known.
+    """The problem of a campaign whose truth is known."""
 
-    Attributes
-    ----------
-    problem
-        With the common scale constrained if it is free.
-    values
-        (u,) unknowns for which the forces balance.
-    free
-        Why the common scale is free; None if it is not.
-    """
-
-    problem: Problem
-    values: Array
-    free: Finding | None
+    problem: Problem  # with the common scale constrained if it is free
+    values: Array  # (u,) unknowns for which the forces balance
+    free: Finding | None  # why the common scale is free; None if it is not
 
 
 def pose_known_truth(campaign: Campaign, moments: Moments, alpha: Array | None) -> KnownTruth:
-    """Pose the problem of a campaign without noise and with known (n,) alpha, see `predict`.
-
-    Raises
-    ------
-    RankDeficient
-    """
+    """Pose the problem of a campaign without noise and with known (n,) alpha, see `predict`."""
     free = load_fault(campaign)
     refuse(fault for fault in structural_faults(campaign, moments) if fault != free)
     problem = problem_of(campaign, reading_noise(campaign, moments))
@@ -221,17 +201,10 @@ def _undetermined(undetermined: int, n: int) -> Finding | None:
 
 @dataclass(frozen=True, eq=False)
 class SensorInformation:
-    """The information of one cycle of the shapes on alpha and on the sensors.
-
-    Attributes
-    ----------
-    asked
-        The unknowns.
-    data
-        (u, u) information on the unknowns, relative alpha first; proportional to the cycles.
-    """
+    """The information of one cycle of the shapes on alpha and on the sensors."""
 
     asked: Request
+    # (u, u) information on the unknowns, relative alpha first; proportional to the cycles
     data: Array
 
     def after(self, cycles: int) -> Array:
@@ -262,11 +235,6 @@ def sensor_information(
         rest: every shape has both signs, so that their means are 0.
     force_noise, position_noise
         Standard deviations of one reading [N], [m].
-
-    Raises
-    ------
-    RankDeficient
-        No shape contains some motion of the mirror.
     """
     square = shapes.T @ shapes
     refuse_unheld(square)
@@ -288,10 +256,6 @@ def predict_with_sensors(
         See `predict`.
     gained
         Of the same shapes.
-
-    Raises
-    ------
-    RankDeficient
     """
     known = pose_known_truth(campaign, moments, alpha)
     problem = known.problem

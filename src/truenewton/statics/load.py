@@ -86,12 +86,7 @@ class Load:
 
 
 def check_load(load: Load) -> None:
-    """Refuse an invalid load.
-
-    Raises
-    ------
-    FormatError
-    """
+    """Refuse an invalid load."""
     check_quantities(load)
     if not load.name.strip():
         raise FormatError("LOAD is blank", remedy="name the load")

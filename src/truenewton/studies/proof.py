@@ -31,35 +31,19 @@ LIMIT = 20.0  # error / (eps cond) that a backward-stable solution stays below
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """One system solved.
+    """One system solved."""
 
-    Attributes
-    ----------
-    seed
-        Of alpha and of the random patterns.
-    system, matrix
-        'C' or 'E'; 'identity' or 'random'.
-    loaded
-        Whether B, M and N were other than zero.
-    rank, unknowns
-        Numerical rank; number of unknowns.
-    singular_values
-        Descending.
-    condition
-        Largest over smallest.
-    error
-        Largest error of the solution, relative to its largest component.
-    """
-
-    seed: int
+    seed: int  # of alpha and of the random patterns
+    # 'C' or 'E'; 'identity' or 'random'
     system: str
     matrix: str
-    loaded: bool
+    loaded: bool  # whether B, M and N were other than zero
+    # numerical rank; number of unknowns
     rank: int
     unknowns: int
-    singular_values: Array
-    condition: float
-    error: float
+    singular_values: Array  # descending
+    condition: float  # largest over smallest
+    error: float  # largest error of the solution, relative to its largest component
 
     @property
     def ratio(self) -> float:
@@ -87,11 +71,6 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
     C then E, with the identity and with random numbers, with B, M, N zero as in the paper and
     then with random B, off-axis M and N. A layout on which balance cannot fix alpha (one ring)
     has a system of short rank, and does not pass.
-
-    Raises
-    ------
-    GeometryError
-        There are fewer than five actuators, or the last three hold no plane.
     """
     a = enabled_arms(mirror.layout)
     n = a.shape[1]

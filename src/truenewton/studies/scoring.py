@@ -12,17 +12,10 @@ from truenewton.calibration.result import Calibration
 
 @dataclass(frozen=True)
 class Score:
-    """How far an estimate lies from the truth.
+    """How far an estimate lies from the truth."""
 
-    Attributes
-    ----------
-    scale_error
-        Common relative error: weighted mean of alpha / true alpha, less one.
-    pattern_error
-        Root mean square of what is left when the common scale is taken out, relative.
-    """
-
-    scale_error: float
+    scale_error: float  # common relative error: weighted mean of alpha / true alpha, less one
+    # root mean square of what is left when the common scale is taken out, relative
     pattern_error: float
 
 

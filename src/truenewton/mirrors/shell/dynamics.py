@@ -71,11 +71,6 @@ def film_damping(glass: ShellModel, shapes: StaticShapes) -> Array:
     """Return C, (n, n), the force of the air film per velocity of the readings [N s/m].
 
     Symmetric; as work on the readings, like the mass of `moving_mass`; at the nominal gap.
-
-    Raises
-    ------
-    GeometryError
-        Bores that touch, or reach over an edge.
     """
     mirror, film = glass.mirror, film_of(glass)
     work = film.work(shapes.at, shapes.area[:, None] * shapes.shape)
@@ -133,19 +128,12 @@ def _between_bores(film: RoundFilm | MeshedFilm, glass: ShellModel) -> Array:
 
 @dataclass(frozen=True)
 class RoundFilm:
-    """Pressures in a ring: cos and sin of m theta times polynomials of radius, 0 at the edges.
+    """Pressures in a ring: cos and sin of m theta times polynomials of radius, 0 at the edges."""
 
-    Attributes
-    ----------
-    inner_radius, outer_radius
-        [m].
-    fineness
-        Functions along a line across the glass.
-    """
-
+    # [m]
     inner_radius: float
     outer_radius: float
-    fineness: float
+    fineness: float  # functions along a line across the glass
 
     @property
     def harmonics(self) -> int:
@@ -229,15 +217,9 @@ class RoundFilm:
 
 @dataclass(frozen=True, eq=False)
 class MeshedFilm:
-    """Pressures under a glass of any outline: linear elements on its mesh.
+    """Pressures under a glass of any outline: linear elements on its mesh."""
 
-    Attributes
-    ----------
-    mesh
-        Its first vertices are the actuators.
-    """
-
-    mesh: Mesh
+    mesh: Mesh  # its first vertices are the actuators
 
     @cached_property
     def _energy(self) -> csc_array:

@@ -62,18 +62,12 @@ def mean_over_circle(radius: Array | float, shallowness: float) -> Mean:
 
 @dataclass(frozen=True, eq=False)
 class Circles:
-    """An annulus, as circles in units of b.
+    """An annulus, as circles in units of b."""
 
-    Attributes
-    ----------
-    inner, outer
-        Its radii.
-    radii, shares
-        Radii of the circles, Gauss points, and their shares of the area.
-    """
-
+    # its radii
     inner: float
     outer: float
+    # radii of the circles, Gauss points, and their shares of the area
     radii: Array
     shares: Array
 
@@ -93,18 +87,10 @@ class Circles:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """The field of a unit force that enters the shell through the rim of a puck.
+    """The field of a unit force that enters the shell through the rim of a puck."""
 
-    Attributes
-    ----------
-    shallowness
-        lambda = b / sqrt(R t) * (12 (1 - nu^2))^(1/4); 0 on a flat plate.
-    puck_radius
-        Radius of the circle on which the force acts [b]; 0 for a point.
-    """
-
-    shallowness: float
-    puck_radius: float = 0.0
+    shallowness: float  # lambda = b / sqrt(R t) * (12 (1 - nu^2))^(1/4); 0 on a flat plate
+    puck_radius: float = 0.0  # radius of the circle on which the force acts [b]; 0 for a point
 
     def fields(self, rho: Array) -> tuple[Array, Array]:
         """Return w and lap w at distances from a point force, (..., n) each, in units of b."""
@@ -149,13 +135,7 @@ class Kernel:
         return kept * w + mean.first * lap, kept * lap - fourth * mean.first * w
 
     def displacement(self, rho: Array, sensor: Circles | None) -> Array:
-        """Return w at (n_at, n_of) distances from forces, or its mean over a sensor there.
-
-        Raises
-        ------
-        GeometryError
-            A sensor over the puck of another actuator, or over its own.
-        """
+        """Return w at (n_at, n_of) distances from forces, or its mean over a sensor there."""
         puck = mean_over_circle(self.puck_radius, self.shallowness)
         w, lap = self.spread(*self.fields(rho), puck)
         if sensor is None:

@@ -44,23 +44,12 @@ class RadialElements:
 
     The unknowns of an element are W, W', U, V at its inner and at its outer node, then the bubbles
     of W, U and V: Legendre polynomials integrated twice, or once.
-
-    Attributes
-    ----------
-    nodes
-        Radii between elements, from the hole to 1.
-    order
-        Of the polynomials.
-    poisson_ratio
-        nu.
-    shallowness
-        lambda, see `kernels`; 0 on a flat plate, which has no U and V.
     """
 
-    nodes: Array
-    order: int
-    poisson_ratio: float
-    shallowness: float
+    nodes: Array  # radii between elements, from the hole to 1
+    order: int  # of the polynomials
+    poisson_ratio: float  # nu
+    shallowness: float  # lambda, see `kernels`; 0 on a flat plate, which has no U and V
 
     @property
     def stretch(self) -> float:

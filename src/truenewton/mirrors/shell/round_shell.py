@@ -88,24 +88,12 @@ def harmonics(fading: float, digits: int, shell: Shell) -> int:
 
 @dataclass(frozen=True, eq=False)
 class LoadedEdge:
-    """An edge, the tractions of unit forces on it, and the response of the shell to them.
+    """An edge, the tractions of unit forces on it, and the response of the shell to them."""
 
-    Attributes
-    ----------
-    radius
-        Of the edge [b].
-    outgoing
-        Ratio by which tractions fade from one harmonic to the next.
-    response
-        (count, elements, unknowns, tractions) remainder per traction.
-    traction
-        (2, count tractions, n_of) cosines and sines of the tractions of the forces.
-    """
-
-    radius: float
-    outgoing: float
-    response: Array
-    traction: Array
+    radius: float  # of the edge [b]
+    outgoing: float  # ratio by which tractions fade from one harmonic to the next
+    response: Array  # (count, elements, unknowns, tractions) remainder per traction
+    traction: Array  # (2, count tractions, n_of) cosines and sines of the tractions of the forces
 
 
 def loaded_edge(
@@ -188,17 +176,10 @@ class RoundShell:
 
     In the harmonics 0 and 1, where the operator is singular (constant and r), a spring holds v at
     the outer edge; balanced forces do not load it.
-
-    Attributes
-    ----------
-    shell
-        The glass; |R| several times its outer radius.
-    digits
-        Decimal digits to keep of the series in harmonics and in radial polynomials.
     """
 
-    shell: Shell
-    digits: int = 13
+    shell: Shell  # the glass; |R| several times its outer radius
+    digits: int = 13  # decimal digits to keep of the series in harmonics and in radial polynomials
 
     def influence_in_parts(
         self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
@@ -220,12 +201,6 @@ class RoundShell:
             Radius of the circle on which the force enters the glass [m]; 0 for a point. A stiff
             puck glued to the glass presses with its rim, since the glass under it does not bend;
             its stiffness is not added to that of the glass.
-
-        Raises
-        ------
-        GeometryError
-            An invalid shell, a point off the glass, a force on or close to an edge, a sensor or a
-            puck over an edge, a sensor over the place of a force.
         """
         shell, b, digits = self.shell, self.shell.outer_radius, self.digits
         forces = on_glass(shell, of, "force", puck_radius)
@@ -252,13 +227,7 @@ class RoundShell:
             yield read * (b**2 / shell.bending_stiffness)
 
     def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
-        """Return the (n_at,) displacement per unit force spread evenly, along the normals [m/N].
-
-        Raises
-        ------
-        GeometryError
-            An invalid shell, a point off the glass.
-        """
+        """Return the (n_at,) displacement per unit force spread evenly, along the normals [m/N]."""
         shell = self.shell
         r = np.abs(on_glass(shell, at, "point", sensor.outer_radius if sensor else 0.0))
         hole = shell.inner_radius / shell.outer_radius

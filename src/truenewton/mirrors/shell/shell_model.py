@@ -29,21 +29,13 @@ WEDGE_MARGIN = 1.5e-3  # from the inner edge of the shell to the wedges of the t
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """The forces that hold a free glass at its actuators.
+    """The forces that hold a free glass at its actuators."""
 
-    Attributes
-    ----------
-    stiffness
-        (n, n) K [N/m]; rigid motions need no force.
-    reaction
-        (n, 3) R; -R T_q are the forces that carry a load of resultants T_q at fixed actuators,
-        apart from the displacement of the load.
-    motion
-        (3, n) rigid motion, as multiples of the tilts, that goes with displacements [1/m per m].
-    """
-
-    stiffness: Array
+    stiffness: Array  # (n, n) K [N/m]; rigid motions need no force
+    # (n, 3) R; -R T_q are the forces that carry a load of resultants T_q at fixed actuators, apart
+    # from the displacement of the load
     reaction: Array
+    # (3, n) rigid motion, as multiples of the tilts, that goes with displacements [1/m per m]
     motion: Array
 
 
@@ -70,11 +62,6 @@ def condense(compliance: Array, tilts: Array) -> Condensed:
     tilts
         (3, n) T, rows 1, x, y at the actuators [-, m, m]: the rigid motions, and the arms of the
         forces that the compliance is right for.
-
-    Raises
-    ------
-    GeometryError
-        Actuators on one line, or two at one place.
     """
     n = tilts.shape[1]
     if np.linalg.matrix_rank(tilts) < 3:
@@ -124,29 +111,16 @@ def rearming(tilts: Array, arms: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ShellModel:
-    """The shell of a mirror, under forces on its pucks and read by its sensors.
-
-    Attributes
-    ----------
-    mirror
-        The mirror.
-    free
-        Its free shell.
-    places
-        x and y of the actuators along the glass [m].
-    compliance
-        (n, n) reading per true force [m/N], correct for balanced forces on the shallow shell.
-    exchange
-        (n, n) J, from motions of the shallow shell to those of the sphere (`rearming`).
-    condensed
-        Its stiffness, force per reading, free to move as the arms of the balance.
-    """
+    """The shell of a mirror, under forces on its pucks and read by its sensors."""
 
     mirror: Mirror
-    free: RoundShell | MeshedShell
-    places: Points
+    free: RoundShell | MeshedShell  # its free shell
+    places: Points  # x and y of the actuators along the glass [m]
+    # (n, n) reading per true force [m/N], correct for balanced forces on the shallow shell
     compliance: Array
+    # (n, n) J, from motions of the shallow shell to those of the sphere (`rearming`)
     exchange: Array
+    # its stiffness, force per reading, free to move as the arms of the balance
     condensed: Condensed
 
     @property
@@ -166,13 +140,7 @@ class ShellModel:
 
 
 def model_shell(mirror: Mirror) -> ShellModel:
-    """Return the shell of a mirror: rings semi-analytically, discs and outlines by elements.
-
-    Raises
-    ------
-    GeometryError
-        See `RoundShell`, `shell_mesh`, `MeshedShell` and `condense`.
-    """
+    """Return the shell of a mirror: rings semi-analytically, discs and outlines by elements."""
     shell = mirror.shell
     places = shell.along(mirror.layout.x, mirror.layout.y)
     free: RoundShell | MeshedShell = RoundShell(shell)
@@ -199,22 +167,13 @@ def influence(
 
 @dataclass(frozen=True, eq=False)
 class ExternalForces:
-    """Forces on a flat mirror other than those of its actuators, along +z [N].
+    """Forces on a flat mirror other than those of its actuators, along +z [N]."""
 
-    Attributes
-    ----------
-    spread
-        Distributed evenly over the glass.
-    at, force
-        x and y [m] and size (k,) of forces at points off the actuators, along the glass.
-    local
-        (n,) at each actuator, along its normal.
-    """
-
-    spread: float
+    spread: float  # distributed evenly over the glass
+    # x and y [m] and size (k,) of forces at points off the actuators, along the glass
     at: Points
     force: Array
-    local: Array
+    local: Array  # (n,) at each actuator, along its normal
 
 
 def weight_on(
@@ -286,19 +245,12 @@ def _resultants_on_glass(mirror: Mirror, external: ExternalForces) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class StaticShapes:
-    """The shapes of a glass with one actuator reading 1 and the others 0.
+    """The shapes of a glass with one actuator reading 1 and the others 0."""
 
-    Attributes
-    ----------
-    at, area
-        x and y of points along the glass [m], and (points,) the area that each stands for [m^2].
-    shape
-        (points, n) displacement per reading.
-    """
-
+    # x and y of points along the glass [m], and (points,) the area that each stands for [m^2]
     at: Points
     area: Array
-    shape: Array
+    shape: Array  # (points, n) displacement per reading
 
 
 def static_shapes(glass: ShellModel) -> StaticShapes:

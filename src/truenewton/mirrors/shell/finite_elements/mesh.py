@@ -43,18 +43,10 @@ MAX_ROUNDS = 300  # of refinement; some ten are usual
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles of a glass.
+    """Triangles of a glass."""
 
-    Attributes
-    ----------
-    points
-        (n_points, 2) vertices [m]; the actuators come first, in their order.
-    triangles
-        (n_triangles, 3) vertices of each triangle, counter-clockwise.
-    """
-
-    points: Array
-    triangles: Indices
+    points: Array  # (n_points, 2) vertices [m]; the actuators come first, in their order
+    triangles: Indices  # (n_triangles, 3) vertices of each triangle, counter-clockwise
 
     @cached_property
     def edges(self) -> Indices:
@@ -88,13 +80,7 @@ class Mesh:
         return np.asarray(0.5 * np.linalg.det(self.corners[:, 1:] - self.corners[:, :1]))
 
     def triangle_at(self, places: Array) -> Indices:
-        """Return (n,) the triangle around each of (n, 2) places, or the nearest at a round edge.
-
-        Raises
-        ------
-        GeometryError
-            A place further off the triangles than a circle is from its polygon.
-        """
+        """Return (n,) the triangle around each of (n, 2) places, or the nearest at a round edge."""
         import shapely
 
         points, triangle = shapely.points(places), np.full(len(places), -1)
@@ -145,11 +131,6 @@ def shell_mesh(shell: Shell, x: Array, y: Array, *, mesh_size: float) -> Mesh:
         (n,) positions of the actuators along the glass [m].
     mesh_size
         Length of the triangles' sides [m], shorter where actuators crowd.
-
-    Raises
-    ------
-    GeometryError
-        An invalid shell, mesh size, outline or place of an actuator, see `outline`.
     """
     check_shell(shell)
     polygons = shell.polygons()

@@ -52,25 +52,15 @@ AREA_DEGREE = 6  # of the quadrature over the glass
 
 @dataclass(frozen=True, eq=False)
 class Argyris:
-    """The elements of a mesh.
+    """The elements of a mesh."""
 
-    Attributes
-    ----------
-    centre, reach
-        (n_triangles, 2) and (n_triangles,) origin and unit of each triangle's monomials [m].
-    polynomials
-        (n_triangles, 21, 21) coefficients of the monomials, in rows, of the shape of each unknown.
-    unknown
-        (n_triangles, 21) number of each unknown in the mesh.
-    count
-        Number of unknowns of the mesh.
-    """
-
+    # (n_triangles, 2) and (n_triangles,) origin and unit of each triangle's monomials [m]
     centre: Array
     reach: Array
+    # (n_triangles, 21, 21) coefficients of the monomials, in rows, of the shape of each unknown
     polynomials: Array
-    unknown: Indices
-    count: int
+    unknown: Indices  # (n_triangles, 21) number of each unknown in the mesh
+    count: int  # number of unknowns of the mesh
 
     def shapes(self, triangle: Indices, places: Array, derivative: tuple[int, int]) -> Array:
         """Return (n, q, 21) derivatives of the shapes, of orders along x and y.
@@ -203,18 +193,10 @@ def _quadratic_slopes(corners: Array, areas: Array, barycentric: Array) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class MeshedShell:
-    """A free glass on a mesh.
+    """A free glass on a mesh."""
 
-    Attributes
-    ----------
-    shell
-        Thickness, material and curvature.
-    mesh
-        From `shell_mesh`.
-    """
-
-    shell: Shell
-    mesh: Mesh
+    shell: Shell  # Thickness, material and curvature
+    mesh: Mesh  # from `shell_mesh`
 
     @cached_property
     def element(self) -> Argyris:
@@ -238,13 +220,7 @@ class MeshedShell:
     def influence_in_parts(
         self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
     ) -> Iterator[Array]:
-        """Yield some rows of the (n_at, n_of) displacement per unit force, as `RoundShell` [m/N].
-
-        Raises
-        ------
-        GeometryError
-            A point, a puck or a sensor off the glass.
-        """
+        """Yield rows of the (n_at, n_of) displacement per unit force [m/N], as `RoundShell` does."""
         solved = self._solved(self._means(of, rim(puck_radius)).T)
         for first in range(0, at[0].size, POINTS_AT_ONCE):
             some = slice(first, first + POINTS_AT_ONCE)

@@ -53,14 +53,7 @@ def depth_inside(loops: Sequence[Array], places: Array) -> Array:
 
 
 def checked_polygons(polygons: Sequence[ArrayLike]) -> list[Array]:
-    """Return the outline and its holes as (n_vertices, 2) arrays [m], once they are valid.
-
-    Raises
-    ------
-    GeometryError
-        A polygon without three finite vertices, with corners too sharp, crossing itself or another;
-        holes off the glass; far too many vertices. Points and holes are counted from 1.
-    """
+    """Return the outline and its holes as (n_vertices, 2) arrays [m], once they are valid."""
     loops = [np.asarray(polygon, dtype=float) for polygon in polygons]
     vertices = sum(map(len, loops))
     if vertices > MAX_VERTICES:
@@ -83,12 +76,7 @@ def checked_polygons(polygons: Sequence[ArrayLike]) -> list[Array]:
 
 
 def check_mesh_size(loops: Sequence[Array], mesh_size: float) -> None:
-    """Refuse a size of elements [m] that is not positive or far too fine for (n, 2) polygons [m].
-
-    Raises
-    ------
-    GeometryError
-    """
+    """Refuse a size of elements [m] that is not positive, or far too fine for (n, 2) polygons."""
     if not MIN_MESH_SIZE <= mesh_size < np.inf:
         raise GeometryError(
             f"mesh size {mesh_size:.6g} m",
@@ -111,13 +99,7 @@ def sides_of(loops: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any]]
 
 
 def checked_places(loops: Sequence[Array], x: Array, y: Array, mesh_size: float) -> Array:
-    """Return (n, 2) positions of actuators [m], once known to be on the glass and apart.
-
-    Raises
-    ------
-    GeometryError
-        Actuators off the glass, all but on an edge, or all but at one place.
-    """
+    """Return (n, 2) positions of actuators [m], once known to be on the glass and apart."""
     places = np.stack([x, y], axis=1)
     closest, depth = MIN_DISTANCE * mesh_size, depth_inside(loops, places)
     for i in np.flatnonzero(~(depth >= 0)):
