@@ -7,8 +7,7 @@ import pytest
 
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
 from truenewton.mirrors import known
-from truenewton.mirrors.checks import CHECKS
-from truenewton.mirrors.file import mirror_from
+from truenewton.mirrors.file import check_mirror, mirror_from
 from truenewton.mirrors.glass import Annulus, Shell
 
 MINE = """
@@ -42,8 +41,7 @@ def mine(tmp_path):
 def test_known_mirrors_stand_on_their_glass(name, n):
     mirror = known.mirror(name)
     assert mirror.layout.n == n
-    for check in CHECKS:
-        check(mirror)
+    check_mirror(mirror)
     shell = mirror.shell
     # NZ is the cosine of the normal where the actuator stands.
     r = np.hypot(mirror.layout.x, mirror.layout.y)

@@ -20,8 +20,7 @@ from truenewton.bench.simulated.segmented import bench_of, campaign_on, seed_of,
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import seen_of
 from truenewton.errors import FormatError
-from truenewton.mirrors.checks import CHECKS
-from truenewton.mirrors.file import mirror_from, whole_mirror_from
+from truenewton.mirrors.file import check_mirror, mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import GRAVITY
 from truenewton.mirrors.segmented import SEGMENTED
@@ -79,8 +78,7 @@ def test_known_segments_stand_on_their_glass(name, counts):
     mirror = SEGMENTED[name]()
     assert np.bincount(mirror.layout.segment)[1:].tolist() == counts
     for segment in {id(one): one for one in mirror.segments}.values():
-        for check in CHECKS:
-            check(segment)
+        check_mirror(segment)
         mass = segment.shell.mass + segment.magnet_mass * segment.layout.n
         assert -segment.weight == pytest.approx(mass * GRAVITY, abs=6e-3)
     places = np.stack([mirror.layout.x, mirror.layout.y], axis=1)

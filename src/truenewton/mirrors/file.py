@@ -1,34 +1,39 @@
-"""Mirrors from files: numbers from TOML, actuators and outlines from tables."""
+"""Mirrors from files: numbers from TOML, actuators and outlines from tables, and their checks."""
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
+from truenewton.errors import FormatError, GeometryError, naming
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, TableFormat
 from truenewton.files.opening import read_text
 from truenewton.files.toml import check_keys, filled, read_toml
-from truenewton.mirrors.checks import CHECKS, check_actuators, check_outline
-from truenewton.mirrors.glass import Outline
-from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
+from truenewton.mirrors.glass import Outline, check_shell
+from truenewton.mirrors.known import GRAVITY, KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
-from truenewton.quantities import Quantity, check_quantities, convert_quantities
+from truenewton.mirrors.shell.finite_elements.mesh import mesh_size_of
+from truenewton.mirrors.shell.finite_elements.outline import (
+    check_mesh_size,
+    checked_polygons,
+    depth_inside,
+)
+from truenewton.mirrors.shell.round_shell import MIN_HOLE
+from truenewton.mirrors.shell.shell_model import tool_wedges
+from truenewton.quantities import check_quantities, in_unit
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.records.parts import require_segment
-from truenewton.rounding import listed
-from truenewton.statics.layout import MAX_DISTANCE, Layout, layout
+from truenewton.rounding import counted, listed
+from truenewton.statics.layout import Layout, layout
 
-Made = TypeVar("Made")
+MAX_WEIGHT_RATIO = 3.0  # and its inverse, to the weight of glass and magnets
 OUTLINE = FileFormat(
     extensions=(
         TableFormat(
@@ -41,144 +46,7 @@ OUTLINE = FileFormat(
         ),
     )
 )
-
-
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Points of an outline, x and y (n,) [m]; loop (n,) 0 of the edge, 1, 2, ... of the holes."""
-
-    QUANTITIES: ClassVar = {"x": Quantity("m"), "y": Quantity("m")}
-
-    x: Array
-    y: Array
-    loop: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        convert_quantities(self)
-
-
-def layout_in(path: Path) -> Layout:
-    """Return the actuators of a FITS file, or of a text table, by default in metres.
-
-    Its columns are X, Y and, optionally, ID, NZ, ENABLED.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, GeometryError
-    """
-    if str(path).endswith(SUFFIXES):
-        return read_layout(path)
-
-    def made(table: Any) -> Layout:
-        others = {"ID", "NZ", "ENABLED"} & set(table.colnames)
-        return layout(**{name.lower(): _cells(table, name) for name in ("X", "Y", *others)})
-
-    return _made_of(path, made, "actuators")
-
-
-def outline_in(path: Path) -> list[list[list[float]]]:
-    """Return the edge and the holes of a table of points: x and y of each [m], in their order.
-
-    It is the table OUTLINE of a FITS file, or a text table. Its columns are X, Y and, if there are
-    holes, LOOP: 0 for the edge, 1, 2, ... for the holes.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
-    if str(path).endswith(SUFFIXES):
-        file = read_fits(path)
-        points = file.filled(_Points, file.values(OUTLINE))
-    else:
-        points = _made_of(path, _points_of, "points")
-    loops = np.asarray(points.loop)
-    numbers = np.unique(loops)
-    if not np.array_equal(numbers, np.arange(numbers.size)) or not numbers.size:
-        raise FormatError(
-            f"LOOP holds {', '.join(map(str, numbers)) or 'nothing'}",
-            remedy="number the points of the edge 0, those of the holes 1, 2, ...",
-            path=path,
-        )
-    places = np.stack([points.x, points.y], axis=1)
-    return [places[loops == number].tolist() for number in numbers]
-
-
-def _points_of(table: Any) -> _Points:
-    loop = _cells(table, "LOOP") if "LOOP" in table.colnames else np.zeros(len(table), dtype=int)
-    return _Points(table["X"], table["Y"], loop)
-
-
-def _made_of(path: Path, make: Callable[[Any], Made], what: str) -> Made:
-    """Return the result of a function of a CSV or ECSV table; errors name the file."""
-    from astropy.table import QTable
-
-    form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
-    lines = read_text(path).splitlines()
-    numbers = [k for k, line in enumerate(lines, 1) if line.strip() and line[0] != "#"][1:]
-    try:
-        # astropy warns of overflows; the resulting values are refused below.
-        with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
-            table = QTable.read(lines, format=form, guess=False)
-            for name in "XY":
-                if name not in table.colnames:
-                    raise _lacking(name, table.colnames)
-                _check_numbers(table[name], name, numbers if len(numbers) == len(table) else None)
-            return make(table)
-    except TrueNewtonError as error:
-        raise located(error, path) from None
-    except Exception as error:
-        raise FormatError(
-            f"is not a table of {what} ({error})",
-            remedy="write columns X and Y as CSV or ECSV, lengths in metres",
-            path=path,
-        ) from error
-
-
-def _lacking(name: str, columns: Sequence[str]) -> FormatError:
-    has = listed([f"'{column}'" for column in columns], 4) if columns else "none"
-    return FormatError(
-        f"lacks column '{name}'; it has {has}",
-        remedy="name the columns X and Y in the first line, in metres, with commas between; or"
-        " name the FITS file that `truenewton import` makes of a matrix and positions as they are",
-    )
-
-
-def _check_numbers(cells: Any, name: str, lines: Sequence[int] | None) -> None:
-    """Refuse the first cell of a column that is not a finite number; name its line if known."""
-    empty = np.broadcast_to(getattr(cells, "mask", False), len(cells)).tolist()
-    for i, value in enumerate(np.asarray(cells).tolist()):
-        if empty[i] or not _is_finite(value):
-            where = f"row {i + 1}" if lines is None else f"line {lines[i]}"
-            raise FormatError(
-                f"{where}: {name} is {'empty' if empty[i] else repr(value)[:60]}",
-                remedy="give a number",
-            )
-
-
-def _is_finite(value: Any) -> bool:
-    try:
-        return bool(np.isfinite(float(value)))
-    except ValueError:
-        return False
-
-
-def _cells(table: Any, name: str) -> Any:
-    """Return a column of a text table after checking its type."""
-    cells = table[name]
-    if np.any(getattr(cells, "mask", False)):
-        raise FormatError(f"{name} has empty cells", remedy="fill them")
-    if name in ("X", "Y"):
-        return cells
-    values = np.asarray(cells)
-    if name == "ENABLED" and values.dtype.kind in "SU":
-        values = np.char.lower(values)
-        known = {"true": True, "false": False}
-        values = np.array([known.get(str(text), 2) for text in values])
-    if name == "ENABLED" and not np.isin(values, (0, 1)).all():
-        raise FormatError("ENABLED holds other words", remedy="write true or false, or 1 or 0")
-    if name in ("ID", "LOOP") and values.dtype.kind not in "iu":
-        raise FormatError(f"{name} holds {values.dtype}", remedy="write integers")
-    return values
+TRUTHS = {"true": True, "1": True, "false": False, "0": False}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,57 +131,41 @@ def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Lay
 
 def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
     written = filled(_WrittenSegments, tables, path)
-    files = {placed.file for placed in written.segments}
-    # Segments of one file are one object, so that their shell is modelled once.
-    made = {file: _segment_from(path.parent / file, path) for file in sorted(files)}
-    try:
+    made = {}  # segments of one file are one object, so that their shell is modelled once
+    for file in sorted({placed.file for placed in written.segments}):
+        tables = read_toml(path.parent / file)
+        if "segments" in tables:
+            raise FormatError(
+                f"takes {file} for a segment, which is a mirror in segments itself",
+                remedy="name the files of its segments here",
+                path=path,
+            )
+        made[file] = _mirror_in(tables, path.parent / file)
+    with naming(path):
         return SegmentedMirror(
             name=written.name,
             segments=tuple(made[placed.file] for placed in written.segments),
             places=tuple(Place(one.x, one.y, one.turned) for one in written.segments),
         )
-    except GeometryError as error:
-        raise located(error, path) from None
-
-
-def _segment_from(file: Path, whole: Path) -> Mirror:
-    tables = read_toml(file)
-    if "segments" in tables:
-        raise FormatError(
-            f"takes {file.name} for a segment, which is a mirror in segments itself",
-            remedy="name the files of its segments here",
-            path=whole,
-        )
-    return _mirror_in(tables, file)
 
 
 def _mirror_in(tables: dict[str, Any], path: Path) -> Mirror:
     tables, points = _with_points(tables, path)
-    written = _within_reach(filled(_Written, tables, path), points)
-    try:
-        check_quantities(written)
-    except FormatError as error:
-        raise located(error, path) from None
-    if written.alpha_range[0] > written.alpha_range[1]:
-        raise FormatError(
-            f"alpha_range is {list(written.alpha_range)}", remedy="lowest first", path=path
-        )
-    if abs(written.coil_gradient) * written.gap >= 1.0:
-        raise FormatError(
-            f"coil_gradient is {written.coil_gradient:g} per metre, with which a coil's force would"
-            " change its sign within the gap",
-            remedy="give the relative change of force per metre, as 600",
-            path=path,
-        )
+    written = filled(_Written, tables, path)
     numbers = dict(vars(written))
     actuators = path.parent / numbers.pop("actuators")
-    made = Mirror(layout=layout_in(actuators), **numbers)
-    files = {check_outline: points, check_actuators: actuators}
-    for check in CHECKS:
-        try:
-            check(made)
-        except GeometryError as error:
-            raise located(error, files.get(check, path)) from None
+    with naming(path):
+        check_quantities(written)
+        if written.alpha_range[0] > written.alpha_range[1]:
+            raise FormatError(f"alpha_range is {list(written.alpha_range)}", remedy="lowest first")
+        if abs(written.coil_gradient) * written.gap >= 1.0:
+            raise FormatError(
+                f"coil_gradient is {written.coil_gradient:g} per metre, with which a coil's force"
+                " would change its sign within the gap",
+                remedy="give the relative change of force per metre, as 600",
+            )
+        made = Mirror(layout=layout_in(actuators), **numbers)
+        check_mirror(made, points=points, actuators=actuators)
     return made
 
 
@@ -325,10 +177,9 @@ def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Pa
     shell = tables.get("shell")
     if not isinstance(shell, dict) or not isinstance(shell.get("outline"), dict):
         return tables, path
-    outline = shell["outline"]
+    outline, points = shell["outline"], path
     known = ("points", *(field.name for field in fields(Outline)))
     check_keys(outline, known, path, "shell.outline")
-    shell, points = {"inner_radius": 0.0, "outer_radius": np.inf, **shell}, path
     if isinstance(outline.get("points"), str):
         for twice in {"edge", "holes"} & set(outline):
             raise FormatError(
@@ -340,29 +191,175 @@ def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Pa
         edge, *holes = outline_in(points)
         own = {key: value for key, value in outline.items() if key != "points"}
         outline = {**own, "edge": edge, "holes": holes}
-    return {**tables, "shell": {**shell, "outline": outline}}, points
+    radii = {"inner_radius": 0.0, "outer_radius": np.inf}
+    return {**tables, "shell": {**radii, **shell, "outline": outline}}, points
 
 
-def _within_reach(written: _Written, points: Path) -> _Written:
-    """Return a mirror with the outer radius of its outline, if it has none of its own."""
-    shell = written.shell
-    if shell.outline is None:
-        return written
-    try:
-        _check_reach(shell.outline)
-        if shell.outer_radius < np.inf:
-            return written
-        reach = float(np.hypot(*shell.polygons()[0].T).max(initial=0.0))
-    except GeometryError as error:
-        raise located(error, points) from None
-    return replace(written, shell=replace(shell, outer_radius=reach))
+# -- tables of actuators and of points --------------------------------------------------------
 
 
-def _check_reach(outline: Outline) -> None:
-    loops = outline.edge, *outline.holes
-    furthest = max((abs(part) for loop in loops for at in loop for part in at), default=0.0)
-    if furthest > MAX_DISTANCE:
-        raise GeometryError(
-            f"the outline reaches {furthest:.3g} m from the axis",
-            remedy="x and y are metres; check their unit",
+def layout_in(path: Path) -> Layout:
+    """Return the actuators of a FITS file, or of a text table, by default in metres.
+
+    Its columns are X, Y and, optionally, ID, NZ, ENABLED.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, GeometryError
+    """
+    if str(path).endswith(SUFFIXES):
+        return read_layout(path)
+    columns = _columns_in(path, "actuators", ("ID", "NZ", "ENABLED"))
+    with naming(path):
+        return layout(**{name.lower(): cells for name, cells in columns.items()})
+
+
+def outline_in(path: Path) -> list[list[list[float]]]:
+    """Return the edge and the holes of a table of points: x and y of each [m], in their order.
+
+    It is the table OUTLINE of a FITS file, or a text table. Its columns are X, Y and, if there are
+    holes, LOOP: 0 for the edge, 1, 2, ... for the holes.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    if str(path).endswith(SUFFIXES):
+        values = read_fits(path).values(OUTLINE)
+        x, y, loops = (np.asarray(values[name]) for name in ("x", "y", "loop"))
+    else:
+        columns = _columns_in(path, "points", ("LOOP",))
+        with naming(path):
+            x, y = (np.asarray(in_unit(columns[name], "m", name)) for name in ("X", "Y"))
+        loops = np.asarray(columns.get("LOOP", np.zeros(len(x), dtype=int)))
+    numbers = np.unique(loops)
+    if not np.array_equal(numbers, np.arange(numbers.size)) or not numbers.size:
+        raise FormatError(
+            f"LOOP holds {', '.join(map(str, numbers)) or 'nothing'}",
+            remedy="number the points of the edge 0, those of the holes 1, 2, ...",
+            path=path,
         )
+    places = np.stack([x, y], axis=1)
+    return [places[loops == number].tolist() for number in numbers]
+
+
+def _columns_in(path: Path, what: str, optional: tuple[str, ...]) -> dict[str, Any]:
+    """Return X, Y and the optional columns of a CSV or ECSV table; ECSV may have units."""
+    from astropy.table import QTable
+
+    form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
+    lines = read_text(path).splitlines()
+    # astropy warns of overflows; the resulting values are refused below.
+    try:
+        with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
+            table = QTable.read(lines, format=form, guess=False)
+    except Exception as error:
+        raise FormatError(
+            f"is not a table of {what} ({error})",
+            remedy="write columns X and Y as CSV or ECSV, lengths in metres",
+            path=path,
+        ) from error
+    numbers = [k for k, line in enumerate(lines, 1) if line.strip() and line[0] != "#"][1:]
+    names = [f"line {k}" for k in numbers]
+    if len(names) != len(table):  # of a cell in quotes with line breaks, as an example
+        names = [f"row {k}" for k in range(1, len(table) + 1)]
+    with naming(path):
+        for name in "XY":
+            if name not in table.colnames:
+                has = listed([f"'{column}'" for column in table.colnames], 4)
+                raise FormatError(
+                    f"lacks column '{name}'; it has {has}",
+                    remedy="name the columns X and Y in the first line, in metres, with commas"
+                    " between; or name the FITS file that `truenewton import` makes of a matrix"
+                    " and positions as they are",
+                )
+        some = ("X", "Y", *(name for name in optional if name in table.colnames))
+        return {name: _checked_cells(table[name], name, names) for name in some}
+
+
+def _checked_cells(cells: Any, name: str, rows: list[str]) -> Any:
+    """Return a column; refuse its first cell that is empty or of another kind."""
+    empty = np.broadcast_to(getattr(cells, "mask", False), len(cells)).tolist()
+    values = np.asarray(cells).tolist()
+    for value, is_empty, row in zip(values, empty, rows, strict=True):
+        if name == "ENABLED":
+            valid, remedy = str(value).lower() in TRUTHS, "write true or false, or 1 or 0"
+        elif name in ("ID", "LOOP"):
+            valid, remedy = type(value) is int, "give an integer"
+        else:
+            valid, remedy = _is_finite(value), "give a number"
+        if is_empty or not valid:
+            said = "empty" if is_empty else repr(value)[:60]
+            raise FormatError(f"{row}: {name} is {said}", remedy=remedy)
+    return [TRUTHS[str(value).lower()] for value in values] if name == "ENABLED" else cells
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return bool(np.isfinite(float(value)))
+    except ValueError:
+        return False
+
+
+# -- checks -----------------------------------------------------------------------------------
+
+
+def check_mirror(mirror: Mirror, points: Path | None = None, actuators: Path | None = None) -> None:
+    """Refuse a mirror that cannot be simulated, naming the file of its points or actuators.
+
+    Raises
+    ------
+    GeometryError
+        Invalid glass or outline; actuators, sensors or the tool off the glass; a weight far from
+        that of glass and magnets, so that a unit is wrong.
+    """
+    shell, loops = mirror.shell, mirror.shell.polygons()
+    check_shell(shell, MIN_HOLE if not loops and shell.inner_radius else 0.0)
+    places = np.stack(shell.along(mirror.layout.x, mirror.layout.y), axis=1)
+    where = f"that is from {shell.inner_radius:g} m to {shell.outer_radius:g} m"
+    if loops:
+        with naming(points):
+            checked_polygons(loops)
+        check_mesh_size(loops, mesh_size_of(shell, *places.T))
+        furthest, where = float(np.hypot(*loops[0].T).max()), "bring it further within the outline"
+        if furthest > shell.outer_radius:
+            raise GeometryError(
+                f"the outline reaches {furthest:.6g} m from the axis",
+                remedy=f"leave outer_radius out, or give more than {shell.outer_radius:g} m",
+            )
+    reach = max(mirror.puck_radius, mirror.sensor.outer_radius)
+    off = _depth(mirror, places) < reach
+    if off.any():
+        i = off.argmax()
+        raise GeometryError(
+            f"actuator {mirror.layout.id[i]} stands {np.hypot(*places[i]):.4g} m from the axis: it"
+            " or its sensor reaches off the glass",
+            remedy=f"{where}; the sensor reaches {reach:g} m",
+            path=actuators,
+        )
+    wedges = np.stack(tool_wedges(mirror), axis=1)
+    if (_depth(mirror, wedges) < 0).any():
+        raise GeometryError(
+            f"the weight tool, {np.hypot(*wedges[0]):g} m from the axis, stands off the glass",
+            remedy="give as tool_radius that of a circle on the glass, about x = y = 0",
+        )
+    magnets = mirror.layout.n
+    expected = -GRAVITY * (shell.mass + magnets * mirror.magnet_mass)
+    if not expected * MAX_WEIGHT_RATIO < mirror.weight < expected / MAX_WEIGHT_RATIO:
+        raise GeometryError(
+            f"weight is {mirror.weight:.4g} N, but glass of {1e3 * shell.thickness:.3g} mm and"
+            f" {counted(magnets, 'magnet')} of {1e3 * mirror.magnet_mass:.3g} g weigh"
+            f" {expected:.3g} N",
+            remedy="correct weight (N, not kg), thickness, density or magnet_mass",
+            got=mirror.weight,
+            want=expected,
+        )
+
+
+def _depth(mirror: Mirror, places: Array) -> Array:
+    """Return (n,) how far (n, 2) places along a glass lie from its edges [m], negative off it."""
+    shell = mirror.shell
+    if shell.outline is not None:
+        return depth_inside(shell.polygons(), places)
+    a, b, r = shell.inner_radius, shell.outer_radius, np.hypot(*places.T)
+    return np.asarray(np.minimum(r - a if a else np.inf, b - r))

@@ -14,11 +14,10 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.quantities import Quantity, convert_quantities
+from truenewton.statics.layout import MAX_DISTANCE
 
 MIN_THICKNESS = 1e-6  # [m]
 MIN_THICKNESS_RATIO = 1e-4  # to the outer radius; large shells have 1.6e-3
-SHELL_UNITS = {"inner_radius": "m", "outer_radius": "m", "thickness": "m", "young_modulus": "Pa",
-               "poisson_ratio": "", "density": "kg/m3", "radius_of_curvature": "m"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,10 @@ def rim(puck_radius: float) -> Annulus | None:
     return Annulus(puck_radius, puck_radius) if puck_radius else None
 
 
+VERTEX = Quantity(
+    "m", -MAX_DISTANCE, MAX_DISTANCE, "x and y are metres; check their unit",
+    "the outline has a point at {:.3g} m",
+)  # fmt: skip
 Polygon = tuple[tuple[float, float], ...]
 Points = tuple[Array, Array]  # x and y along the glass [m]
 
@@ -78,7 +81,7 @@ class Outline:
     """
 
     QUANTITIES: ClassVar = {
-        "edge": Quantity("m"), "holes": Quantity("m"), "mesh_size": Quantity("m"),
+        "edge": VERTEX, "holes": VERTEX, "mesh_size": Quantity("m"),
     }  # fmt: skip
 
     edge: Polygon
@@ -95,7 +98,7 @@ class Shell:
     inner_radius, outer_radius, thickness
         Dimensions [m]; radii are arcs on a sphere; an inner radius of 0 makes a full disc. With an
         outline, the weight tool stands just outside the inner radius unless its radius is given,
-        and the glass is within the outer radius.
+        and an infinite outer radius becomes that of the outermost vertex.
     young_modulus
         E [Pa]; Zerodur 90.3 GPa [conf].
     poisson_ratio
@@ -128,6 +131,9 @@ class Shell:
 
     def __post_init__(self) -> None:
         convert_quantities(self)
+        if self.outline is not None and self.outer_radius == np.inf:
+            reach = np.hypot(*self.polygons()[0].T).max(initial=0.0)
+            object.__setattr__(self, "outer_radius", float(reach))
 
     @property
     def bending_stiffness(self) -> float:

@@ -220,7 +220,7 @@ class MeshedShell:
     def influence_in_parts(
         self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
     ) -> Iterator[Array]:
-        """Yield rows of the (n_at, n_of) displacement per unit force [m/N], as `RoundShell` does."""
+        """Yield rows of the (n_at, n_of) displacement per unit force [m/N], as `RoundShell`."""
         solved = self._solved(self._means(of, rim(puck_radius)).T)
         for first in range(0, at[0].size, POINTS_AT_ONCE):
             some = slice(first, first + POINTS_AT_ONCE)

@@ -158,26 +158,26 @@ def _check_corners(loop: Array, name: str) -> None:
 
 
 def _check_crossings(loops: Sequence[Array]) -> None:
-    """Refuse sides that meet, except for neighbours at their common end."""
+    """Refuse a polygon that crosses or touches itself, and two that meet."""
     import shapely
+    from shapely.validation import explain_validity
 
-    sides = shapely.linestrings(np.stack(sides_of(loops), axis=1))
-    owner = [(k, i) for k, loop in enumerate(loops) for i in range(len(loop))]
-    for i, j in sorted(shapely.STRtree(sides).query(sides, predicate="intersects").T.tolist()):
-        (one, first), (other, second) = owner[i], owner[j]
-        if one == other and (second - first) % len(loops[one]) in (0, 1, len(loops[one]) - 1):
-            continue
-        at = _at(shapely.get_coordinates(shapely.intersection(sides[i], sides[j]))[0])
-        if one == other:
+    rings = [shapely.LinearRing(loop) for loop in loops]
+    for k, ring in enumerate(rings):
+        reason, _, place = explain_validity(shapely.Polygon(ring)).partition("[")
+        if place:
+            at = _at(np.array(place.rstrip("]").split(), dtype=float))
             raise GeometryError(
-                f"{_named(one)} crosses itself at {at}, with its sides after points"
-                f" {first + 1} and {second + 1}",
+                f"{_named(k)} crosses itself at {at} ({reason})",
                 remedy="give its points in their order along it, each once",
             )
-        raise GeometryError(
-            f"{_named(one)} and {_named(other)} meet at {at}",
-            remedy="keep holes within the edge, and apart",
-        )
+        for other in range(k):
+            common = shapely.get_coordinates(ring.intersection(rings[other]))
+            if len(common):
+                raise GeometryError(
+                    f"{_named(other)} and {_named(k)} meet at {_at(common[0])}",
+                    remedy="keep holes within the edge, and apart",
+                )
 
 
 def _at(point: Array) -> str:
