@@ -38,7 +38,7 @@ from truenewton.bench.simulated.static import (
 from truenewton.figures.style import CURVES, INK, STYLE, new_axes
 from truenewton.mirrors.glass import Annulus, Points
 from truenewton.mirrors.known import lbt672, mmt336, p45, ring
-from truenewton.mirrors.shell.dynamics import breathing_frequency, film_damping
+from truenewton.mirrors.shell.dynamics import film_damping
 from truenewton.mirrors.shell.finite_elements.mesh import shell_mesh
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.round_shell import RoundShell
@@ -220,8 +220,6 @@ def settling() -> None:
         print(f"P45, gap {1e6 * bench.mirror.gap:g} um, {bores}: damping of modes, N s/m")
         print("  " + ", ".join(f"{name} {value:.0f}" for name, value in found))
         print(f"  longest time constant, integrator still: {1e3 * slowest_creep(loop):.2f} ms")
-        if not vent:
-            print(f"  the air is compressed from {breathing_frequency(bench.glass):.0f} Hz on")
         steps = step_responses(loop, bench.glass.stiffness, duration=12e-3)
         ten = settling_time(steps.time, steps.position, 0.1)
         after = ", ".join(f"{1e3 * t:.2f}" for t in ten)

@@ -20,7 +20,7 @@ from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.modal.findings import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness
 from truenewton.modal.true_stiffness import true_stiffness
-from truenewton.statics.arms import arms
+from truenewton.statics.arms import arms, arms_in_units_of_rms
 from truenewton.statics.modes import stiffness_modes
 
 SEEDS = 20
@@ -77,10 +77,12 @@ def measured(matrix):
     print("measured LBT672")
     for name, each in (("alpha = 1", None), ("calibrated", calibration)):
         found = true_stiffness(matrix, each)
+        rigid = np.linalg.qr(arms_in_units_of_rms(found.layout).T)[0]
+        held = np.sum(rigid * (found.stiffness @ rigid), axis=0)
         print(
             f"  {name}: asymmetry {found.asymmetry:.4f}, coupling of rigid motions"
             f" {found.imbalance:.1e}, their stiffness"
-            f" {', '.join(f'{value:.0f}' for value in found.rigid_stiffness)} N/m, softest modes"
+            f" {', '.join(f'{value:.0f}' for value in held)} N/m, softest modes"
             f" {', '.join(f'{value:.0f}' for value in found.modes.stiffness[3:8])} N/m"
         )
     return [

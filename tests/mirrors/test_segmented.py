@@ -129,7 +129,7 @@ def test_true_forces_of_each_segment_balance_its_own_load(tiny):
             "x = 0.11, y = -0.14",
             "1 (DISC) and 3 (DISC) overlap, by 10 mm",
         ),
-        ("x = 0.11", "x = 110.0", "an actuator stands 110 m from the axis"),
+        ("x = 0.11", "x = 110.0", " stands 110 m from the axis"),
     ],
 )
 def test_segments_that_cannot_be(inside, tiny, old, new, said):

@@ -229,7 +229,7 @@ def test_what_sensors_see_counts_once_in_files_written_and_read_again(p45, tmp_p
     # What the sensors read of a mode: of a tilt exactly what they see where they are.
     with fits.open(tmp_path / "m.fits") as hdus:
         reading, modes = hdus["READING"].data, hdus["MODES"].data
-    np.testing.assert_allclose(once.after.stiffness.seen @ reading, modes, atol=1e-12)
+    np.testing.assert_allclose(once.after.stiffness.read(modes), reading, atol=1e-12)
     layout = found.measured.matrix.layout
     tilts = np.stack([layout.x, layout.y], axis=1)
     seen = (tilts - places) / gain[:, None]

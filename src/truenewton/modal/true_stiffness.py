@@ -47,13 +47,24 @@ MIN_ACTUATORS = 4  # three would leave rigid motions only
 def off_and_slaved(
     layout: Layout, off: Sequence[int], slaved: Sequence[int]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return (n,) which actuators are off and (n,) which are slaved, from their IDs."""
-    floats, follows = _named(layout, off, "off"), _named(layout, slaved, "slaved")
-    if (floats & follows).any():
-        both = int(layout.id[floats & follows][0])
+    """Return (n,) which actuators are off and (n,) which are slaved; refuse invalid IDs."""
+    for ids, what in ((off, "off"), (slaved, "slaved")):
+        if not all(isinstance(name, int | np.integer) for name in ids):
+            raise UnknownName(
+                f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]", got=ids
+            )
+        unknown = sorted({*map(int, ids)} - {*layout.id.tolist()})  # these do not overflow
+        if unknown:
+            raise UnknownName(
+                f"no enabled actuator has the ID {unknown[0]} that is to be {what}",
+                remedy=f"IDs go from {layout.id.min()} to {layout.id.max()}",
+                got=unknown[0],
+            )
+    if both := sorted({*off} & {*slaved}):
         raise UnknownName(
-            f"actuator {both} is both off and slaved", remedy="name it once", got=both
+            f"actuator {both[0]} is both off and slaved", remedy="name it once", got=both[0]
         )
+    floats, follows = np.isin(layout.id, off), np.isin(layout.id, slaved)
     commanded = int(np.count_nonzero(~(floats | follows)))
     if commanded < MIN_ACTUATORS:
         raise RankDeficient(
@@ -63,22 +74,6 @@ def off_and_slaved(
             want=MIN_ACTUATORS,
         )
     return floats, follows
-
-
-def _named(layout: Layout, ids: Sequence[int], what: str) -> NDArray[np.bool_]:
-    """Return (n,) which actuators are named."""
-    if not all(isinstance(name, int | np.integer) for name in ids):
-        raise UnknownName(
-            f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]", got=ids
-        )
-    unknown = sorted({*map(int, ids)} - {*layout.id.tolist()})  # Python integers do not overflow
-    if unknown:
-        raise UnknownName(
-            f"no enabled actuator has the ID {unknown[0]} that is to be {what}",
-            remedy=f"IDs go from {layout.id.min()} to {layout.id.max()}",
-            got=int(unknown[0]),
-        )
-    return np.isin(layout.id, ids)
 
 
 def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | None) -> Array:
@@ -103,18 +98,6 @@ def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | N
     if apart := theirs.part(at).other_actuators(layout):
         raise CampaignMismatch(f"stiffness and calibration disagree on {apart}", remedy=remedy)
     return np.asarray(calibration.alpha[at])
-
-
-def _per_true_displacement(k: Array, places: Places, gain: Array, offset: Array) -> Array:
-    """Return (n, n) forces per true displacement from those per reading, which are overwritten.
-
-    Between the actuators the glass bends as a plate unless ``places`` contains a model of it.
-    """
-    k /= gain
-    if places.motion is None and not offset.any():
-        return k
-    factors = lu_factor(seen_from(places, offset).T, overwrite_a=True)
-    return np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
 
 
 def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -212,11 +195,6 @@ class TrueStiffness:
             return forces
         return symmetrised(forces[on] + self.followers.T @ forces[~on])
 
-    @property
-    def seen(self) -> Array:
-        """(n, n) true displacements of the enabled per reading: H diag(gain)."""
-        return seen_from(self.places, self.enabled_offset) * self.enabled_gain
-
     def read(self, moved: Array) -> Array:
         """Return the (n, k) readings of the enabled for (n, k) true displacements."""
         gain = self.enabled_gain[:, None]
@@ -234,20 +212,6 @@ class TrueStiffness:
     def modes(self) -> StiffnessModes:
         """Its modes: rigid motions first if calibrated, then the softest."""
         return stiffness_modes(self.stiffness, arms(self.layout).T if self.calibrated else None)
-
-    @property
-    def rigid_stiffness(self) -> Array:
-        """(3,) v'Kv of piston and tilts of unit length [N/m]; bias magnets make it negative.
-
-        If calibrated, and with all actuators commanded, these are the first three `modes`.
-        """
-        rigid = np.linalg.qr(arms_in_units_of_rms(self.layout).T)[0]
-        return np.asarray(np.sum(rigid * (self.stiffness @ rigid), axis=0))
-
-    def most_asymmetric(self, count: int = 5) -> tuple[tuple[int, float], ...]:
-        """Return ID and asymmetry of the actuators whose rows and columns differ most."""
-        worst = np.argsort(-self.actuator_asymmetry, kind="stable")[:count]
-        return tuple((int(self.enabled.id[i]), float(self.actuator_asymmetry[i])) for i in worst)
 
 
 def true_stiffness(
@@ -303,15 +267,19 @@ def true_stiffness(
     places = places_of(matrix.layout, None if matrix.displaced == "true" else motion)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = alpha[:, None] * matrix.used_stiffness
-    k = _per_true_displacement(k, places, gain, offset)
-    skew = _skew_norms(k)
+    k /= gain
+    if places.motion is not None or offset.any():
+        factors = lu_factor(seen_from(places, offset).T, overwrite_a=True)
+        k = np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
+    skew, size = (_row_norms(k, sign) for sign in (-1.0, 1.0))
     symmetric = symmetrised(k)
-    size = 2.0 * _row_norms(symmetric)
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
     own = rigid.T @ symmetric @ rigid
     coupling = symmetric @ rigid - rigid @ own  # Q K R
     if calibration is not None:
-        symmetric = _uncoupled(symmetric, coupling, rigid)
+        symmetric -= coupling @ rigid.T
+        symmetric -= rigid @ coupling.T
+        symmetric = symmetrised(symmetric)  # to the last digit
     followers = _following(symmetric, floats, follows)
     symmetric.setflags(write=False)  # so that the record need not copy it
     return TrueStiffness(
@@ -356,31 +324,20 @@ def _sensors(
     return gain, offset
 
 
-def _row_norms(matrix: Array) -> Array:
-    """Return the (n,) norms of rows without a copy of the matrix."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", matrix, matrix)))
-
-
-def _skew_norms(matrix: Array) -> Array:
-    """Return the (n,) norms of rows of an (n, n) matrix less its transpose."""
+def _row_norms(matrix: Array, transposed_sign: float) -> Array:
+    """Return the (n,) norms of the rows of K + sign K', some rows at a time, for memory."""
     norms = np.empty(len(matrix))
     for start in range(0, len(matrix), ROWS_AT_ONCE):
         some = slice(start, start + ROWS_AT_ONCE)
-        norms[some] = _row_norms(matrix[some] - matrix[:, some].T)
+        rows = matrix[some] + transposed_sign * matrix[:, some].T
+        norms[some] = np.sqrt(np.einsum("ij,ij->i", rows, rows))
     return norms
-
-
-def _uncoupled(symmetric: Array, coupling: Array, rigid: Array) -> Array:
-    """Return (n, n) without its coupling to (n, 3) rigid motions; it is overwritten."""
-    symmetric -= coupling @ rigid.T
-    symmetric -= rigid @ coupling.T
-    return symmetrised(symmetric)  # to the last digit
 
 
 def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) -> Array:
     """Return (n - m, m) displacements of the actuators that are not commanded.
 
-    k is overwritten by the stiffness of all that act, as if slaved ones were commanded.
+    k is overwritten by the stiffness of all that act, slaved ones included.
     """
     acts, commanded = ~floats, ~(floats | follows)
     floating = np.zeros((int(floats.sum()), len(k)))

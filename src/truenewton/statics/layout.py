@@ -16,6 +16,7 @@ from truenewton.quantities import Quantity, convert_quantities, taking_units
 MAX_DISTANCE = 10.0  # of an actuator from the axis [m]; beyond it the unit is wrong
 MAX_ACTUATORS = 20000
 PLACE = ("x", "y", "nz")
+DTYPES: dict[str, Any] = {"id": np.int64, "enabled": np.bool_, "segment": np.int64}
 POSITION_TOLERANCE = 1e-6  # [m], and of NZ: the precision of four bytes, or of short tables
 
 
@@ -68,14 +69,9 @@ class Layout:
 
     def __post_init__(self) -> None:
         convert_quantities(self)
-        freeze(self, "id", dtype=np.int64)
-        freeze(self, "x", "y", "nz")
-        freeze(self, "enabled", dtype=np.bool_)
-        errors = [name for name in ("x_error", "y_error") if getattr(self, name) is not None]
-        freeze(self, *errors)
-        pieces = ["segment"] if self.segment is not None else []
-        freeze(self, *pieces, dtype=np.int64)
-        for name in ("id", "x", "y", "nz", "enabled", *errors, *pieces):
+        given = [field.name for field in fields(self) if getattr(self, field.name) is not None]
+        for name in given:
+            freeze(self, name, dtype=DTYPES.get(name, np.float64))
             shape = getattr(self, name).shape
             if shape != (self.n,):
                 raise GeometryError(
@@ -86,7 +82,7 @@ class Layout:
                 )
         if self.n == 0:
             raise GeometryError("there are no actuators", remedy="give at least one")
-        if self.n > MAX_ACTUATORS:  # matrices of so many by so many fill no memory that there is
+        if self.n > MAX_ACTUATORS:  # matrices of so many by so many exceed any memory
             raise GeometryError(
                 f"there are {self.n} actuators", remedy=f"give {MAX_ACTUATORS} at most"
             )
@@ -94,34 +90,34 @@ class Layout:
             raise GeometryError(
                 "no actuator is ENABLED", remedy="set ENABLED to T for those that give force"
             )
-        for name in ("x", "y", "nz"):
-            bad = ~np.isfinite(getattr(self, name))
-            if bad.any():
-                raise GeometryError(
-                    f"{name.upper()} of actuator {self.id[bad][0]} is not finite",
-                    remedy="give the position and direction of every actuator",
-                )
-        for name in errors:
-            error = getattr(self, name)
-            if not (np.isfinite(error) & (error >= 0.0) & (error < MAX_DISTANCE)).all():
-                raise GeometryError(
-                    f"E_{name[0].upper()} is negative or not finite",
-                    remedy="give standard uncertainties in m",
-                )
+        self._refuse_values()
+        self._refuse_twice()
+
+    def _refuse_values(self) -> None:
+        """Refuse numbers that no actuator can have, naming the first of them."""
         far = np.maximum(np.abs(self.x), np.abs(self.y))
-        if far.max() > MAX_DISTANCE:
-            beyond = self.id[far > MAX_DISTANCE]
-            who = f"actuator {beyond[0]}" if beyond.size == 1 else "an actuator"
-            raise GeometryError(
-                f"{who} stands {far.max():.3g} m from the axis",
-                remedy="X and Y are metres; check their unit",
-            )
-        if (self.nz > 1.0).any() or (self.nz < 0.01).any():
-            raise GeometryError(
-                "NZ lies outside 0.01 to 1", remedy="NZ is the cosine between the force and +z"
-            )
+        errors = {name: getattr(self, name) for name in ("x_error", "y_error")}
+        checks = [
+            *((~np.isfinite(getattr(self, name)), f"{name.upper()} of actuator {{}} is not finite",
+               "give the position and direction of every actuator") for name in PLACE),
+            *((~((error >= 0.0) & (error < MAX_DISTANCE)),
+               f"E_{name[0].upper()} of actuator {{}} is negative or not finite",
+               "give standard uncertainties in m")
+              for name, error in errors.items() if error is not None),
+            ((far == far.max()) & (far > MAX_DISTANCE),
+             f"actuator {{}} stands {far.max():.3g} m from the axis",
+             "X and Y are metres; check their unit"),
+            ((self.nz > 1.0) | (self.nz < 0.01), "NZ lies outside 0.01 to 1",
+             "NZ is the cosine between the force and +z"),
+        ]  # fmt: skip
+        for bad, fault, remedy in checks:
+            if bad.any():
+                raise GeometryError(fault.format(self.id[bad][0]), remedy=remedy)
         if self.segment is not None and (self.segment < 1).any():
             raise GeometryError(f"SEGMENT is {self.segment.min()}", remedy="segments count from 1")
+
+    def _refuse_twice(self) -> None:
+        """Refuse two actuators of one name, or at one place to the nanometre."""
         values, count = np.unique(self.id, return_counts=True)
         if (count > 1).any():
             raise GeometryError(
@@ -246,16 +242,13 @@ def layout(
     array([ 0. ,  0.1, -0.1])
     """
     n = np.size(x)
-    return Layout(
-        id=np.arange(1, n + 1) if id is None else id,  # type: ignore[arg-type]
-        x=x,  # type: ignore[arg-type]
-        y=y,  # type: ignore[arg-type]
-        nz=np.ones(n) if nz is None else nz,  # type: ignore[arg-type]
-        enabled=np.ones(n, dtype=bool) if enabled is None else enabled,  # type: ignore[arg-type]
-        x_error=x_error,  # type: ignore[arg-type]
-        y_error=y_error,  # type: ignore[arg-type]
-        segment=segment,  # type: ignore[arg-type]
-    )
+    columns: dict[str, Any] = {
+        "id": np.arange(1, n + 1) if id is None else id,
+        "nz": np.ones(n) if nz is None else nz,
+        "enabled": np.ones(n, dtype=bool) if enabled is None else enabled,
+        "x_error": x_error, "y_error": y_error, "segment": segment,
+    }  # fmt: skip
+    return Layout(x=x, y=y, **columns)  # type: ignore[arg-type]
 
 
 @taking_units(radii="m", nz="", turned="rad")

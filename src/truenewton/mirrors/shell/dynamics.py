@@ -18,8 +18,9 @@ of the Green's function of a source on the rim of bore l,
     C <- C - (12 mu / h^3) [Phi' Gamma^-1 Phi + (pi v^4 / 8) S' S]
 
 where S is the displacement over the bores; the last term is the missing film of the bore. Bores
-are small compared with their distances; inertia and compression of the air are neglected, as
-`breathing_frequency` allows.
+are small compared with their distances. Inertia and compression of the air are neglected: the film
+of P45 is compressed, not squeezed out, above p_0 h^2 k^2 / 24 pi mu = 375 Hz, with p_0 the pressure
+of the room and k^2 the smallest eigenvalue of -div grad (Langlois 1962).
 """
 
 from __future__ import annotations
@@ -40,7 +41,6 @@ from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.shell_model import ShellModel, StaticShapes, shapes_at
 
 VISCOSITY = 1.82e-5  # of air at 20 degC [Pa s, lit]
-ROOM_PRESSURE = 1.013e5  # [Pa, lit]
 FUNCTIONS_PER_ACTUATOR = 3.0  # of pressure, along a line
 
 
@@ -83,19 +83,6 @@ def film_damping(glass: ShellModel, shapes: StaticShapes) -> Array:
         damping -= mean.T @ np.linalg.solve(_between_bores(film, glass), mean)
         damping -= np.pi / 8 * mirror.vent_radius**4 * over.T @ over
     return np.asarray(6 * VISCOSITY / mirror.gap**3 * (damping + damping.T))
-
-
-def breathing_frequency(glass: ShellModel) -> float:
-    """Return the frequency [Hz] at which stiffness and damping of the film are equal.
-
-    p_0 h^2 k^2 / 24 pi mu, with k^2 the smallest eigenvalue of -div grad in the film: well below it
-    air is squeezed out, well above it is compressed (Langlois 1962).
-    """
-    film = film_of(glass)
-    at, area = glass.free.quadrature(16 * glass.mirror.layout.n)
-    inverse = film.solve(film.work(at, area[:, None] * film.values(at)))
-    k2 = 1 / float(np.linalg.eigvals(inverse).real.max())
-    return ROOM_PRESSURE * glass.mirror.gap**2 * k2 / (24 * np.pi * VISCOSITY)
 
 
 def film_of(glass: ShellModel) -> RoundFilm | MeshedFilm:
