@@ -25,7 +25,7 @@ from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.findings.finding import MAX_NAMED_ACTUATORS, Finding, about_actuators
 from truenewton.estimation.likelihood import Minimum
-from truenewton.estimation.matrix.couplings import MIN_PLACED_ACTUATORS, misplaced, projected
+from truenewton.estimation.matrix.couplings import MIN_JUDGED_ACTUATORS, misplaced, projected
 from truenewton.estimation.paper.identifiability import centred_means, refuse
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.readings.moments import Moments
@@ -282,7 +282,7 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]
     seen = _homogeneous(problem, moments)
     if seen is None:
         return ()
-    elsewhere = misplaced(seen, problem.a) if problem.n >= MIN_PLACED_ACTUATORS else {}
+    elsewhere = misplaced(seen, problem.a) if problem.n >= MIN_JUDGED_ACTUATORS else {}
     places = problem.a.copy()
     for i, place in elsewhere.items():
         places[1:, i] = place

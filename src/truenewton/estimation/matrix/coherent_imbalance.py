@@ -1,33 +1,32 @@
-"""Whether what the columns of a stiffness matrix leave out of balance is noise, or a mistake.
+"""Whether the remaining imbalance of the columns is noise, or the pattern of a mistake.
 
 With the arms A (3, n), orthonormal Q (n, 3) over the same span and M = diag(alpha) K_c, every
 column of M is a set of forces in equilibrium, whatever its sensor reads:
 
     e_j = Q' M_j = 0,      d e_j / d log alpha_i = Q_i M_ij
 
-Noise of the elements leaves e of variance Q' diag(a^2 + p^2 M_ij^2) Q c_j, with a, p and the
-factors c_j of the columns as likely as can be. A mistake of geometry or processing leaves a
-pattern instead, however small. Positions that are wrong by a smooth field, or by the radius of a
-ring, leave -dA M (in the units of Q). A diagonal, or couplings changed by their distance, leave
-Q' dM. Each such pattern z is tested alone beside alpha, as one parameter against the scatter of
-the rest:
+Noise of the elements gives e the variance Q' diag(a^2 + p^2 M_ij^2) Q c_j, with the most likely a,
+p and factors c_j of the columns. A mistake of geometry or processing leaves a pattern instead,
+however small. Positions that are wrong by a smooth field, or by the radius of a ring, leave -dA M
+(in the units of Q). A diagonal, or couplings changed by their distance, leave Q' dM. Each such
+pattern z is tested alone beside alpha, as one parameter against the scatter of the rest:
 
     share = (z' r)^2 / r' r,    r: whitened residual
 
-On sound matrices share is one of some fifty, each about 1 / f of f degrees of freedom. The test
-needs neither symmetry nor a model of the sensors. How far alpha moves if the pattern is fitted as
-well says what it is worth.
+For sound matrices, share is the largest of about fifty, each about 1 / f of f degrees of freedom.
+The test needs neither symmetry nor a model of the sensors. The significance of the pattern is how
+far alpha moves if it is fitted as well.
 
-A few mistakes leave no imbalance. If positions are stretched to one side, alpha takes it up as a
-gradient; if a part of the rigid motions is removed, the balance is better than it was measured.
-Then the gains of the sensors that symmetry implies, log g = log(alpha g) - log alpha, follow alpha
-or have a gradient, which those of sound sensors do not.
+A few mistakes leave no imbalance. If positions are stretched to one side, alpha absorbs it as a
+gradient; if a part of the rigid motions is removed, the balance is better than measured. Then the
+gains of the sensors implied by symmetry, log g = log(alpha g) - log alpha, follow alpha or have a
+gradient, which those of sound sensors do not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -41,13 +40,10 @@ from truenewton.estimation.matrix.couplings import relative_couplings
 from truenewton.estimation.matrix.facts import MatrixFacts
 
 MIN_ACTUATORS = 12
-PRIOR_READINGS = 12.0  # by which the noise of a column is held to that of the others
-SMOOTH_DEGREE = 3  # of fields of wrong positions
-MIN_RING_GAP = 0.03  # of the largest radius, between two rings
-MAX_RINGS = 20
+PRIOR_READINGS = 12.0  # weight of the other columns' noise in that of one
+MIN_RING_GAP = 0.03  # between two rings, relative to the largest radius
 DISTANCE_BINS = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)  # quantiles of the distances of pairs
-ALTERNATIVES = 0.8  # of the largest share: patterns that explain as much are named as well
-MIN_SPREAD = 3.0  # of log alpha in terms of its error
+MIN_SPREAD = 3.0  # of log alpha relative to its error, if gains are compared with it
 
 
 class Pattern(NamedTuple):
@@ -59,40 +55,20 @@ class Pattern(NamedTuple):
 
 
 class CoherentImbalance(NamedTuple):
-    """The mistake that explains most of the imbalance of the columns.
+    """The mistake that explains most of the imbalance of the columns."""
 
-    Attributes
-    ----------
-    names
-        Of the pattern, and of others that explain nearly as much.
-    share
-        Of the imbalance, in units of its noise, that it explains.
-    shift
-        (n,) how far log alpha moves if it is fitted, too.
-    column_noise
-        (n,) variance of the imbalance of each column in terms of the median.
-    remedy
-        What to do about the mistake.
-    """
-
-    names: tuple[str, ...]
-    share: float
-    shift: Array
-    column_noise: Array
-    remedy: str
+    names: tuple[str, ...]  # of the pattern, and of others that explain nearly as much
+    share: float  # of the imbalance, in units of its noise, that it explains
+    shift: Array  # (n,) change of log alpha if it is fitted as well
+    column_noise: Array  # (n,) variance of the imbalance of each column, relative to the median
+    remedy: str  # for the mistake
 
 
 def coherent_imbalance(commanded: Array, arms: Array, alpha: Array) -> CoherentImbalance | None:
-    """Return the pattern that explains most of what the columns leave; None of a few actuators.
+    """Return the pattern that explains most of the remaining imbalance; None for few actuators.
 
-    Parameters
-    ----------
-    commanded
-        (n, n) force of actuator i per reading of sensor j.
-    arms
-        (3, n) in comparable units.
-    alpha
-        (n,) as fitted.
+    ``commanded`` is the (n, n) force of actuator i per reading of sensor j, ``arms`` (3, n) in
+    comparable units, ``alpha`` (n,) as fitted.
     """
     n = len(commanded)
     if n < MIN_ACTUATORS:
@@ -118,7 +94,7 @@ def coherent_imbalance(commanded: Array, arms: Array, alpha: Array) -> CoherentI
     along = (white.T @ residual) / np.where(length > 0.0, length, np.inf)
     shares = along**2 / float(residual @ residual)
     best = int(np.argmax(shares))
-    order = [k for k in np.argsort(-shares) if shares[k] > ALTERNATIVES * shares[best]]
+    order = [k for k in np.argsort(-shares) if shares[k] > 0.8 * shares[best]]
     names = dict.fromkeys(patterns[k].name for k in order)
     size = along[best] / length[best]
     shift = -mean_free @ np.linalg.solve(triangle, by_fit - inside[:, best] * size)
@@ -139,17 +115,16 @@ def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
         return Pattern(name, moved, "compare X and Y of the actuators with the drawing")
 
     nothing, radius = np.zeros_like(x), np.hypot(x, y)
-    for p in range(SMOOTH_DEGREE + 1):
-        for r in range(SMOOTH_DEGREE + 1 - p):
-            if p + r >= 2:  # below, A is only transformed
-                field = x**p * y**r
-                yield of_positions("a smooth distortion of the positions", field, nothing)
-                yield of_positions("a smooth distortion of the positions", nothing, field)
+    for p, r in product(range(4), repeat=2):
+        if 2 <= p + r <= 3:  # below, A is only transformed
+            field = x**p * y**r
+            yield of_positions("a smooth distortion of the positions", field, nothing)
+            yield of_positions("a smooth distortion of the positions", nothing, field)
     for power in (2, 3):
         part = (x * radius ** (2 * power), y * radius ** (2 * power))
         yield of_positions("radii (positions along the surface, a scale that varies)", *part)
     ring = _rings(radius)
-    for number in range(ring.max() + 1 if ring.max() < MAX_RINGS else 0):
+    for number in range(ring.max() + 1 if ring.max() < 20 else 0):
         part = np.where(ring == number, 1.0, 0.0) / np.maximum(radius, 1e-9)
         yield of_positions(f"the radius of ring {number + 1}", part * x, part * y)
         yield of_positions(f"the rotation of ring {number + 1}", -part * y, part * x)
@@ -168,10 +143,10 @@ def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
 def doubts_of_balance(
     facts: MatrixFacts, alpha: Array, covariance: Array, ids: NDArray[np.int64]
 ) -> tuple[tuple[Finding, ...], Array]:
-    """Return which mistakes the balance of a matrix shows, and the (n, n) covariance with them.
+    """Return the mistakes that the balance of a matrix shows, and the (n, n) covariance with them.
 
-    If one mistake explains much of the imbalance, alpha may be wrong by as much as it moves where
-    the mistake is fitted as well: that much is added to the (n, n) ``covariance`` of (n,) alpha.
+    If one mistake explains much of the imbalance, alpha may be wrong by as much as it moves if the
+    mistake is fitted: this is added to the (n, n) ``covariance`` of (n,) alpha.
     """
     said = list[Finding]()
     found = coherent_imbalance(facts.stiffness, facts.arms, alpha)
@@ -201,28 +176,18 @@ def doubts_of_balance(
 
 
 class SensorGains(NamedTuple):
-    """What is odd about the gains of the sensors that symmetry implies.
+    """Anomalies of the sensor gains implied by symmetry."""
 
-    Attributes
-    ----------
-    with_alpha
-        Their correlation with alpha; 0 if alpha varies no more than its error.
-    sigmas
-        Its size in units of its standard deviation.
-    gradient_sigmas
-        Their gradient across the mirror in units of its standard deviation.
-    """
-
-    with_alpha: float
-    sigmas: float
-    gradient_sigmas: float
+    with_alpha: float  # correlation with alpha; 0 if alpha varies no more than its error
+    sigmas: float  # its size over its standard deviation
+    gradient_sigmas: float  # gradient across the mirror over its standard deviation
 
 
 def sensor_gains(facts: MatrixFacts, alpha: Array, covariance: Array) -> SensorGains:
     """Return whether gains by symmetry follow (n,) alpha, or have a gradient.
 
-    What errors of alpha do to both is taken out. Few smooth patterns make up most of these errors,
-    so a correlation of gains with alpha scatters far more than by 1 / root n.
+    The effect of errors of alpha, with (n, n) covariance, is removed from both. These errors
+    consist of few smooth patterns, so the correlation scatters much more than 1 / root n.
     """
     if (alpha <= 0.0).any() or len(alpha) < MIN_ACTUATORS:
         return SensorGains(0.0, 0.0, 0.0)
@@ -261,7 +226,7 @@ def _covariance_of_ratios(commanded: Array, misfit: Array) -> Array:
 
 
 def _rings(radius: Array) -> NDArray[np.int64]:
-    """Return (n,) the ring of each actuator, from the inside: radii with gaps between them."""
+    """Return (n,) ring numbers from the inside: radii with gaps between them."""
     ordered = np.sort(radius)
     edges = ordered[1:][np.diff(ordered) > MIN_RING_GAP]
     return np.asarray(np.digitize(radius, edges - 1e-9), dtype=np.int64)
@@ -295,7 +260,7 @@ def _noise_root(q: Array, m: Array, e: Array, by_alpha: Array) -> Array:
 
 
 def _orthonormal(columns: Array) -> Array:
-    """Return columns that span the same, by Cholesky: exact enough to find noise by."""
+    """Return columns with the same span, by Cholesky: accurate enough to estimate noise."""
     gram = columns.T @ columns
     gram[np.diag_indices(len(gram))] *= 1.0 + 1e-12
     factor = scipy.linalg.cholesky(gram, lower=True)

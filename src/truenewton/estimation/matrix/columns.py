@@ -1,14 +1,14 @@
-"""`ml` on a stiffness matrix: the balance of its columns, each with the noise that it shows.
+"""Likelihood of the columns of a stiffness matrix, each with the noise that its data show.
 
-Column j, the commanded forces per displacement of sensor j, balances but for what the bias magnets
-add to a rigid displacement, 9 numbers b, and for noise of variance V_ij in its elements:
+Column j, the commanded forces per displacement of sensor j, balances except for what the bias
+magnets add to a rigid displacement, 9 numbers b, and for noise of variance V_ij in its elements:
 
     rho_j = A diag(alpha) k_j + b a_j,    S_j = A diag(alpha^2 V_.j) A'
 
-Columns are independent, so the sum of rho_j' S_j^-1 rho_j is least, as in `likelihood`, of which
-every column would be a data set of its own. Noise in proportion to an element sits where the
-actuator of the column stands; its moment about that place is then known far better than its force.
-Singular vectors mix columns and lose that.
+Columns are independent, so the sum of rho_j' S_j^-1 rho_j is minimised, as in `likelihood` if each
+column were a data set of its own. Noise proportional to an element is largest at the actuator of
+the column; the moment of the column about that place is then known much better than its force.
+Singular vectors mix columns and lose this information.
 """
 
 from __future__ import annotations
@@ -32,83 +32,57 @@ from truenewton.estimation.matrix.facts import ElasticModes
 from truenewton.linalg import inverse_of_positive
 
 MIN_LOG_LIKELIHOOD_GAIN = 3.0  # in log likelihood: what a further parameter must bring
-MIN_COLUMN_DEVIATION = 1e-13  # of a typical element, its standard deviation at least
+ROUNDING = 1e-13  # least standard deviation, relative to a typical element
 
 
 @dataclass(frozen=True)
 class ColumnNoise:
-    """The noise of the elements of a stiffness matrix, all independent.
+    """Noise of the elements of a stiffness matrix, all independent."""
 
-    Attributes
-    ----------
-    variance
-        Of an element, in the mean over all [(N/m)^2].
-    proportional
-        Share of it that goes with the square of the element; the rest is the same for all.
-    freedom
-        Of Student's t from sensor to sensor; infinite where all have one noise.
-    """
-
-    variance: float
-    proportional: float
+    variance: float  # mean over all elements [(N/m)^2]
+    proportional: float  # part of it that is proportional to the square of the element
+    # of Student's t from sensor to sensor; infinite if all have the same noise
     freedom: float = np.inf
 
     def of_elements(self, k: Array) -> Array:
         """Return (n, m) variances of (n, m) elements [(N/m)^2], of a typical sensor."""
         square = k**2
         mean = float(square.mean())
-        law = (1.0 - self.proportional) + (self.proportional / mean) * square
-        return np.asarray(
-            max(self.variance, MIN_COLUMN_DEVIATION**2 * mean) * law
-            + (MIN_COLUMN_DEVIATION**2 * mean)
+        law, least = (
+            (1.0 - self.proportional) + (self.proportional / mean) * square,
+            ROUNDING**2 * mean,
         )
+        return np.asarray(max(self.variance, least) * law + least)
 
     @property
     def lost(self) -> float:
-        """Variance of a fit weighted by t in terms of what its weights alone let expect."""
+        """Variance of a fit weighted by t, relative to that expected from its weights."""
         return 1.0 if np.isinf(self.freedom) else (self.freedom + 4.0) / (self.freedom + 2.0)
 
     def cost(self, distance: Array) -> float:
-        """Return minus log likelihood of (m,) squared distances of 3-vectors, parameters paid."""
+        """Return minus log likelihood of (m,) squared distances, with a cost of each parameter."""
         parameters = (0.0 < self.proportional < 1.0) + np.isfinite(self.freedom)
         return MIN_LOG_LIKELIHOOD_GAIN * float(parameters) + _cost(distance, self.freedom, 3.0)
-
-    def __str__(self) -> str:
-        if self.proportional < 0.02:
-            law = "equal in all elements"
-        elif self.proportional > 0.98:
-            law = "in proportion to each element"
-        else:
-            law = "partly in proportion to each element"
-        return law if np.isinf(self.freedom) else f"{law}, more at some sensors"
 
 
 def likeliest_noise(
     residual: Array, left: Array, laws: tuple[Array, Array]
 ) -> tuple[ColumnNoise, Array]:
-    """Return the likeliest noise and the weight of each column.
+    """Return the most likely noise and the (m,) weights of the columns.
 
-    Of the laws 'equal', 'proportional' and 'both', with one noise for all sensors or by sensor, the
-    likeliest; a further parameter counts if it raises the log likelihood by more than
-    `MIN_LOG_LIKELIHOOD_GAIN`.
+    Noise is equal, proportional to the element, or both, and the same for all sensors or by sensor.
+    A further parameter counts if it raises the log likelihood by `MIN_LOG_LIKELIHOOD_GAIN`.
 
-    Parameters
-    ----------
-    residual
-        (m, 3) combinations of the imbalance of each column, what the fit took away put back.
-    left
-        (m, 3) part of each that the fit had left, descending: its degrees of freedom, as what was
-        put back is said by other columns. Each counts as conditional on those before it.
-    laws
-        (m, 3, 3) covariance of a residual if the noise were equal in all elements, and if in
-        proportion, for variance 1.
+    ``residual`` (m, 3) are combinations of the imbalance of each column, corrected for the fit.
+    ``left`` (m, 3) is the part of each that the fit had left, descending: its degrees of freedom.
+    ``laws`` are (m, 3, 3) covariances for equal and for proportional noise of variance 1.
     """
     freedoms = left.sum(axis=1)
 
     def at(share: float) -> tuple[float, Array]:
         s = (1.0 - share) * laws[0] + share * laws[1]
         # A column with one element alone is noisy in one direction, by proportion.
-        s = s + MIN_COLUMN_DEVIATION * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        s = s + ROUNDING * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         factor = np.linalg.cholesky(s)
         solved = np.linalg.solve(factor, residual[:, :, None])[:, :, 0]
         size = np.log(np.diagonal(factor, axis1=1, axis2=2))
@@ -138,7 +112,7 @@ def likeliest_noise(
 
 
 def _likeliest_share(law: Callable[[float], tuple[float, ColumnNoise]]) -> float:
-    """Return the share of proportional noise of least cost, between the ends."""
+    """Return the most likely part of proportional noise between 0 and 1."""
     found = scipy.optimize.minimize_scalar(
         lambda logit: law(float(scipy.special.expit(logit)))[0],
         bounds=(-7.0, 7.0),
@@ -149,7 +123,7 @@ def _likeliest_share(law: Callable[[float], tuple[float, ColumnNoise]]) -> float
 
 
 def _cost(distance: Array, freedom: float, dimensions: Array | float) -> float:
-    """Return minus log likelihood of squared distances of t, but for what is the same for all."""
+    """Return minus log likelihood of squared distances of t, without constant terms."""
     if np.isinf(freedom):
         return 0.5 * float(distance.sum())
     half, gamma = 0.5 * (freedom + dimensions), scipy.special.gammaln
@@ -159,7 +133,7 @@ def _cost(distance: Array, freedom: float, dimensions: Array | float) -> float:
 
 
 def _cost_by_freedom(distance: Array, freedom: float, dimensions: Array) -> tuple[float, float]:
-    """Return d cost / d freedom and d cost / d log(distance) of all distances, of `_cost`."""
+    """Return the derivatives of `_cost` with respect to freedom and log distance."""
     half, psi = 0.5 * (freedom + dimensions), scipy.special.psi
     pulled = half * distance / (freedom + distance)
     each = 0.5 * dimensions / freedom - 0.5 * (psi(half) - psi(0.5 * freedom))
@@ -193,57 +167,36 @@ MIN_VARIANCE_SHARE = 0.01  # part of a variance that a fit leaves at least
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns of a stiffness matrix.
+    """Columns of a stiffness matrix."""
 
-    Attributes
-    ----------
-    stiffness
-        (n, m) forces per displacement [N/m].
-    a, sensor_arms
-        (3, n) arms of the forces and (3, m) of the sensors, in comparable units.
-    disturbance
-        (m, 3, 3) covariance of what else disturbs the balance [N^2/m^2].
-    start
-        (n,) alpha to begin with.
-    size
-        (n, m) elements with which noise may go in proportion [N/m]; all of the columns unless only
-        some of their modes are looked at.
-    modes
-        The elastic modes of the columns.
-    """
-
-    stiffness: Array
-    a: Array
-    sensor_arms: Array
-    disturbance: Array
-    start: Array
-    size: Array
-    modes: ElasticModes
+    stiffness: Array  # (n, m) forces per displacement [N/m]
+    a: Array  # (3, n) arms of forces and sensors, in comparable units
+    disturbance: Array  # (m, 3, 3) covariance of what else disturbs the balance [N^2/m^2]
+    start: Array  # (n,) first alpha
+    size: Array  # (n, m) elements that scale proportional noise [N/m], of all modes
+    modes: ElasticModes  # elastic modes of the columns
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """At one point: residuals of unit covariance, S^1/2, the design, M and gradient.
+    """Terms at one point; (n + 9) unknowns."""
 
-    (m, 3), (m, 3, 3), (m, 3, n + 9), (n + 9, n + 9) and (n + 9,).
-    """
-
-    residual: Array
-    root: Array
-    design: Array
-    m: Array
-    gradient: Array
+    residual: Array  # (m, 3), of unit covariance
+    root: Array  # (m, 3, 3) S^1/2
+    design: Array  # (m, 3, n + 9)
+    m: Array  # (n + 9, n + 9) M
+    gradient: Array  # (n + 9,)
 
 
 def terms_at(
     c: Columns, alpha: Array, b: Array, variance: Array, held: Array | None = None
 ) -> Terms:
-    """Return the terms at (n,) alpha, (3, 3) b; alpha held in S: of weighted least squares."""
+    """Return the terms at (n,) alpha and (3, 3) b; with alpha ``held`` in S, of least squares."""
     n, m = c.stiffness.shape
-    rho = ((c.a * alpha) @ c.stiffness + b @ c.sensor_arms).T
+    rho = ((c.a * alpha) @ c.stiffness + b @ c.a).T
     s = imbalance_covariances(c.a * (alpha if held is None else held), variance) + c.disturbance
     # A disturbance in one direction may be so large that noise in the others is its rounding.
-    s = s + 1e-13 * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    s = s + ROUNDING * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     root = np.linalg.cholesky(s)
     inverse_root = np.linalg.inv(root)
     residual = np.einsum("mkl,ml->mk", inverse_root, rho)
@@ -253,7 +206,7 @@ def terms_at(
         fitted = fitted - (variance * alpha[:, None]).T * np.einsum("mki,mk->mi", white, residual)
     design = np.empty((m, 3, n + 9))
     np.multiply(white, fitted[:, None, :], out=design[:, :, :n])
-    design[:, :, n:] = np.einsum("mkl,jm->mklj", inverse_root, c.sensor_arms).reshape(m, 3, 9)
+    design[:, :, n:] = np.einsum("mkl,jm->mklj", inverse_root, c.a).reshape(m, 3, 9)
     flat = design.reshape(3 * m, n + 9)
     m_matrix = np.asarray(flat.T @ flat)
     return Terms(residual, np.asarray(root), design, m_matrix, flat.T @ residual.ravel())
@@ -262,11 +215,11 @@ def terms_at(
 def spurious_information(
     c: Columns, alpha: Array, root: Array, variance: Array, left: Array | None = None
 ) -> Array:
-    """Return (n, n), what noise adds to M in the mean: all, or that which the fit leaves of it.
+    """Return (n, n) D, the mean contribution of noise to M: all, or what the fit leaves of it.
 
-    D = (A' S^-1/2 L S^-1/2 A) o (diag v - v alpha A' S^-1 A alpha v), summed over columns. With
-    L = 1 this is E[M] less the information I. But the fit of all other unknowns takes away its part
-    of what noise feigns of a pattern, in M as in the gradient. To second order (M - D)^-1 has the
+    D = (A' S^-1/2 L S^-1/2 A) o (diag v - v alpha A' S^-1 A alpha v), summed over columns. With L =
+    1 it is E[M] minus the information I. But the fit of all other unknowns removes part of the
+    spurious information on a pattern, in M as in the gradient. To second order (M - D)^-1 has the
     mean I^-1, and errors of alpha the covariance I^-1 (I + D) I^-1, where L, (m, 3, 3), is what the
     fit leaves of the variance of each column.
     """
@@ -284,8 +237,8 @@ def spurious_information(
 def left_of_columns(terms: Terms, inverse: Array, feigned: Array) -> Array:
     """Return the (m, 3, 3) part of each column's unit covariance that the fit leaves.
 
-    1 - X H^-1 X' with the true design X. Noise in that which is at hand makes X H^-1 X' larger, and
-    alpha less sure than H^-1, by as much again: in the sum over columns, by the trace of H^-1 D.
+    1 - X H^-1 X' with the true design X. Noise in the measured design increases X H^-1 X', and the
+    variance of alpha beyond H^-1, by the same amount: summed over columns, the trace of H^-1 D.
     """
     n, (m, _, u) = len(feigned), terms.design.shape
     inverse = inverse - 2.0 * inverse[:, :n] @ feigned @ inverse[:n]
@@ -303,12 +256,7 @@ def imbalance_covariances(scaled_arms: Array, variance: Array) -> Array:
 
 
 def inverse_information(terms: Terms, prior: Array, feigned: Array) -> Array:
-    """Return the (n + 9, n + 9) inverse of M - D and prior; the common factor is held.
-
-    Raises
-    ------
-    RankDeficient
-    """
+    """Return the (n + 9, n + 9) inverse of M - D and prior, with the common factor held."""
     n = len(prior)
     matrix = terms.m.copy()
     matrix[:n, :n] += prior - feigned + np.trace(terms.m[:n, :n]) / n**2
@@ -321,39 +269,20 @@ def inverse_information(terms: Terms, prior: Array, feigned: Array) -> Array:
         ) from None
 
 
-SETTLED_ALPHA_STEP = 0.02  # rms step in terms of the rms error at which alpha has settled
-SETTLED_NOISE_CHANGE = 0.03  # change of the noise at which it has
-START_SPREAD = 0.1  # spread of a population to begin with
-# Part of a column's variance that may be a disturbance where its noise is judged.
-MAX_DISTURBANCE_SHARE = 0.1
-MIN_NOISE = 1e-6  # noise in terms of a typical element, beside which any disturbance is large
-HOPELESS_LOG_LIKELIHOOD = 30.0  # in log likelihood: so much less likely a law is given up
+SETTLED_STEP = 0.02  # rms step of alpha relative to its rms error, at which an iteration ends
+MAX_DISTURBANCE_SHARE = 0.1  # part of a column's variance, if its noise is to be judged
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnFit:
-    """Alpha from columns.
+    """Alpha from columns."""
 
-    Attributes
-    ----------
-    alpha, covariance
-        (n,) with mean 1, and its (n, n) covariance.
-    noise
-        What the noise follows.
-    spread
-        Of the population; infinite for none.
-    eigenvalues
-        (n,) squared imbalance that the columns leave in patterns of alpha, in terms of its noise.
-    feigned
-        Variance of alpha in terms of what the information alone lets expect.
-    """
-
-    alpha: Array
-    covariance: Array
-    noise: ColumnNoise
-    spread: float
+    alpha: Array  # (n,) with mean 1
+    covariance: Array  # (n, n) of alpha
+    spread: float  # of the population; infinite for none
+    # (n,) squared imbalance of the columns in patterns of alpha, relative to noise
     eigenvalues: Array
-    feigned: float
+    inflation: float  # variance of alpha relative to that expected from the information alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,35 +298,29 @@ class _Point:
 
 
 def fit_columns(columns: Columns, *, population: bool = False) -> ColumnFit:
-    """Fit alpha and what the noise follows, in turn.
+    """Fit alpha and the law of the noise alternately.
 
-    Parameters
-    ----------
-    columns
-        At least as many equations as unknowns.
-    population
-        Take what is not smooth in alpha for samples of a normal population, whose spread the
-        columns give.
+    The columns have at least as many equations as unknowns. ``population``: treat what is not
+    smooth in alpha as samples of a normal population, whose spread is estimated.
 
     Raises
     ------
     NotConverged
-        Alpha does not settle.
+        Alpha does not converge.
     RankDeficient
-        What is taken for noise would hold some of alpha alone: the columns have another fault.
+        Noise would determine some of alpha alone: the columns have another fault.
     """
     n, alpha = len(columns.start), columns.start / columns.start.mean()
-    smooth, spread = smooth_patterns(columns.a), START_SPREAD if population else np.inf
+    smooth, spread = smooth_patterns(columns.a), 0.1 if population else np.inf
     rough = _rough_noise(columns, alpha, 0.0)
     best = _alternate(
         columns, smooth, _Point(alpha, np.zeros((3, 3)), rough, spread), columns.start
     )
-    # The law by which columns are weighted is judged too well by what is then left of them.
+    # The law that weights the columns is judged too favourably by its residuals, so the other one
+    # is tried as well; it is abandoned once it is clearly less likely.
     other = _rough_noise(columns, best.alpha, float(best.noise.proportional < 0.5))
     try:
-        again = _alternate(
-            columns, smooth, replace(best, noise=other), worst=best.cost + HOPELESS_LOG_LIKELIHOOD
-        )
+        again = _alternate(columns, smooth, replace(best, noise=other), worst=best.cost + 30.0)
         best = min(best, again, key=lambda each: each.cost)
     except (NotConverged, RankDeficient):
         pass
@@ -412,7 +335,7 @@ def fit_columns(columns: Columns, *, population: bool = False) -> ColumnFit:
     covariance = inverse + inverse @ feigned @ inverse
     share = float(np.trace(covariance) / np.trace(inverse))
     eigenvalues = _eigenvalues(columns, terms, feigned)
-    return ColumnFit(alpha, covariance, noise, best.spread, eigenvalues, share)
+    return ColumnFit(alpha, covariance, best.spread, eigenvalues, share)
 
 
 def _alternate(
@@ -422,10 +345,11 @@ def _alternate(
     held: Array | None = None,
     worst: float = np.inf,
 ) -> _Point:
-    """Find alpha, noise and spread in turn until they belong together.
+    """Find alpha, noise and spread in turn until they agree.
 
-    With alpha held in the covariances for the first time. The cost is minus log likelihood, alpha
-    and b integrated out, and what parameters of the noise must bring; no further beyond the worst.
+    In the first step alpha is ``held`` in the covariances. The cost is minus log likelihood, alpha
+    and b integrated out, plus that of the noise parameters; the iteration ends beyond the
+    ``worst``.
     """
     n, weight = len(at.alpha), np.ones(c.size.shape[1])
     alpha, b, noise, spread = at.alpha, at.b, at.noise, at.spread
@@ -456,7 +380,7 @@ def _alternate(
 
 
 def _eigenvalues(c: Columns, terms: Terms, feigned: Array) -> Array:
-    """Return (n,) ascending eigenvalues of the balance of the columns as they are, D being 1."""
+    """Return (n,) ascending eigenvalues of the balance of the columns, relative to D."""
     n, m = c.stiffness.shape
     rows = (np.linalg.inv(terms.root) @ c.a) * c.stiffness.T[:, None, :]
     flat = rows.reshape(3 * m, n) / np.sqrt(np.diag(feigned))
@@ -464,23 +388,24 @@ def _eigenvalues(c: Columns, terms: Terms, feigned: Array) -> Array:
 
 
 def _rough_noise(c: Columns, alpha: Array, proportional: float) -> ColumnNoise:
-    """Return a first noise, from what alpha to begin with leaves out of balance: rather too large.
+    """Return a first noise from the imbalance of the first alpha, rather too large.
 
-    Too small a noise would have alpha scatter until its own variance explains the imbalance.
+    With too small a noise, alpha would scatter until its own variance explains the imbalance.
     """
     rho, law = ((c.a * alpha) @ c.stiffness).T, ColumnNoise(1.0, proportional)
     s = imbalance_covariances(c.a * alpha, law.of_elements(c.size))
-    s += c.disturbance / (MIN_NOISE**2 * np.mean(c.size**2))
+    s += c.disturbance / (1e-12 * np.mean(c.size**2))  # large relative to any noise
     distance = np.einsum("mk,mk->m", rho, np.linalg.solve(s, rho[:, :, None])[:, :, 0])
     return ColumnNoise(float(np.median(distance)) / 2.37, proportional)  # median of chi^2 of 3
 
 
 def _same(noise: ColumnNoise, before: ColumnNoise) -> bool:
-    return (
-        abs(np.log(noise.variance / before.variance)) < SETTLED_NOISE_CHANGE
-        and abs(noise.proportional - before.proportional) < SETTLED_NOISE_CHANGE
-        and abs(1.0 / noise.freedom - 1.0 / before.freedom) < SETTLED_NOISE_CHANGE
+    changes = (
+        np.log(noise.variance / before.variance),
+        noise.proportional - before.proportional,
+        1.0 / noise.freedom - 1.0 / before.freedom,
     )
+    return bool(np.abs(changes).max() < 0.03)
 
 
 def _settle(
@@ -491,7 +416,7 @@ def _settle(
     prior: Array,
     held: Array | None = None,
 ) -> tuple[Array, Array, Terms, Array, Array]:
-    """Return alpha of mean 1, b, the terms there, (n + 9, n + 9) inverse of H and prior, and D."""
+    """Return alpha of mean 1, b, the terms, the (n + 9, n + 9) inverse of H and prior, and D."""
     n, feigned = len(alpha), np.zeros((len(alpha), len(alpha)))
     for step_index in range(12):
         terms = terms_at(c, alpha, b, variance, held)
@@ -508,7 +433,7 @@ def _settle(
         alpha, b = alpha / alpha.mean(), b / alpha.mean()
         if not np.isfinite(alpha).all() or np.abs(alpha).max() > 1e3:
             break
-        if size < SETTLED_ALPHA_STEP:
+        if size < SETTLED_STEP:
             return alpha, b, terms, inverse, feigned
     raise NotConverged(
         "alpha of the stiffness matrix does not settle",
@@ -517,10 +442,10 @@ def _settle(
 
 
 def _noise(c: Columns, alpha: Array, terms: Terms, left: Array) -> tuple[ColumnNoise, Array]:
-    """Return the likeliest noise, and (m,) weights, after putting back what the fit took away.
+    """Return the most likely noise and (m,) weights, corrected for what the fit took away.
 
-    What is left of most of a column is nearly all or nearly nothing: that combination of its three
-    equations into which alpha of its own actuator goes.
+    Of most columns either nearly all or nearly nothing is left: the combination of the three
+    equations that determines alpha of the column's own actuator.
     """
     disturbed = np.linalg.solve(terms.root, c.disturbance)
     disturbed = np.linalg.solve(terms.root, disturbed.transpose(0, 2, 1))

@@ -1,14 +1,12 @@
 """Couplings between the actuators of a matrix, and the positions that they imply.
 
-Where actuators are seen to stand, by forces or displacements that balance.
+Three vectors that balance span T A diag(alpha), with the arms A, any (3, 3) T and any alpha. T
+follows from the declared positions by robust least squares (direct linear transformation). Its
+inverse gives the position of each actuator, whatever its alpha.
 
-Of three vectors that span T A diag(alpha), A the arms, any (3, 3) T and alpha, T follows from the
-places as they are given, by least squares that leave out what lies far (direct linear
-transformation); its inverse shows each actuator where it stands, whatever its alpha.
-
-Of a stiffness K, which rigid motions cost nothing, K (x, y) = 0: what one place is wrong by costs
-that times its column. Rows say the same of where its force acts. A gain of sensor or coil costs as
-much for piston as well, and one wrong row or column is seen from one side only.
+Rigid motions cost a stiffness K no force: K (x, y) = 0. An error of one position costs that error
+times its column. Rows give the same of the position of the force. A gain of sensor or coil costs as
+much for piston as well, and a single wrong row or column shows on one side only.
 """
 
 from __future__ import annotations
@@ -18,14 +16,20 @@ from scipy.linalg.lapack import dposv
 
 from truenewton.arrays import Array
 
-STRONG_COUPLING = 0.05  # coupling in terms of both own stiffnesses, from which a pair counts
-# Coupling from which pairs count alike: one wrong element is not to outweigh the rest.
+MIN_JUDGED_ACTUATORS = 20  # actuators among which one can be recognised as an outlier
+MAX_MISFIT_FRACTION = 0.1  # of all actuators may not fit; beyond it none can be singled out
+STRONG_COUPLING = 0.05  # relative to both diagonal elements: minimum of a pair that is used
+# Pairs above this coupling have equal weight, so that one wrong element does not dominate.
 EQUAL_WEIGHT_COUPLING = 0.1
-NEAR_SPACINGS = 6.0  # spacings
+NEAR_SPACINGS = 6.0  # spacings within which actuators are coupled noticeably
+MIN_PLACE_DISTANCE = 0.3  # spacings from its X and Y, beyond which an actuator is misplaced
+MAX_TYPICAL_DISTANCE = 0.1  # spacings: median distance if the inferred positions can be used
+MIN_PLACE_RATIO = 10.0  # distance relative to the median of all
+ELSEWHERE = "stands elsewhere than at its X and Y"
 
 
 def relative_couplings(k: Array) -> Array:
-    """Return (n, n) elements in terms of the own stiffness of both actuators."""
+    """Return (n, n) elements relative to the diagonal elements of both actuators."""
     own = np.sqrt(np.abs(np.diag(k)))
     stiff = own > 0.0
     own = np.where(stiff, own, np.median(own[stiff]) if stiff.any() else 1.0)
@@ -35,10 +39,10 @@ def relative_couplings(k: Array) -> Array:
 def pair_ratios(k: Array, start: Array | None = None) -> tuple[Array, Array]:
     """Return (n,) log alpha from symmetry, with median 0, and the (n, n) misfit of strong pairs.
 
-    Least absolute deviations of log(k_ij / k_ji) = log alpha_j - log alpha_i, weights the squared
-    coupling up to `EQUAL_WEIGHT_COUPLING`. The misfit is NaN where a pair is weak, infinite where
-    its elements differ in sign. From an (n,) log alpha nearby to ``start`` with, few steps
-    are taken.
+    Least absolute deviations of log(k_ij / k_ji) = log alpha_j - log alpha_i. Weights are the
+    squared coupling, limited at `EQUAL_WEIGHT_COUPLING`. The misfit is NaN where a pair is weak,
+    infinite where its elements differ in sign. From a (n,) log alpha nearby, ``start``, few steps
+    are needed.
     """
     c, n = np.abs(relative_couplings(k)), len(k)
     linked = np.maximum(c, c.T) > STRONG_COUPLING
@@ -71,25 +75,14 @@ def pair_ratios(k: Array, start: Array | None = None) -> tuple[Array, Array]:
 
 
 def typical_spacing(a: Array) -> float:
-    """Return the median distance to the nearest actuator, in the units of (3, n) arms."""
+    """Return the median distance to the nearest actuator, in the unit of (3, n) arms."""
     distance = np.hypot(a[1][:, None] - a[1], a[2][:, None] - a[2])
     np.fill_diagonal(distance, np.inf)
     return float(np.median(distance.min(axis=1)))
 
 
-ELSEWHERE = "stands elsewhere than at its X and Y"
-MIN_PLACED_ACTUATORS = 20  # actuators among which one can be told to stand elsewhere
-MIN_PLACE_DISTANCE = 0.3  # of the spacing: so far from its place one is seen elsewhere
-FREE_DISTANCE = 0.5  # of the spacing: nobody else stands where it is seen
-HOME_SPACINGS = 0.1  # of the spacing, in the median: so near their places all are seen
-MIN_PLACE_RATIO = 10.0  # times what is typical
-MAX_MISPLACED_FRACTION = 0.1  # of the actuators, and one at least
-MIN_EXPLAINED_COST = 0.5  # of what rigid motions cost: more than this it explains
-MAX_FORCE_SENSOR_DISTANCE = 0.3  # of how far it is: so near each other force and sensor are seen
-
-
 def projected(seen: Array, arms: Array) -> Array:
-    """Return (n, 2) where the forces of each actuator act, were most of them at (3, n) arms."""
+    """Return the (n, 2) positions of the forces, if most of them are at (3, n) arms."""
     n = arms.shape[1]
     a = arms / np.linalg.norm(arms, axis=0)
     b = seen / np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
@@ -109,14 +102,10 @@ def projected(seen: Array, arms: Array) -> Array:
 
 
 def misplaced(seen: Array, arms: Array) -> dict[int, tuple[float, float]]:
-    """Return who is seen at a place of nobody, with x and y there; none if most are not at home.
+    """Return x and y of each actuator that is misplaced; none if most positions are uncertain.
 
-    Parameters
-    ----------
-    seen
-        (3, n) T A diag(alpha).
-    arms
-        (3, n) A, by the places as they are given.
+    ``seen`` is (3, n) T A diag(alpha), ``arms`` (3, n) A of the declared positions. The inferred
+    position must be free.
     """
     places = (arms[1:] / arms[0]).T
     size = np.sqrt(np.mean(places**2))
@@ -124,28 +113,25 @@ def misplaced(seen: Array, arms: Array) -> dict[int, tuple[float, float]]:
     own, spacing = np.linalg.norm(found - places, axis=1), typical_spacing(arms / arms[0])
     usual = float(np.median(own))
     away = np.flatnonzero(own > max(MIN_PLACE_DISTANCE * spacing, MIN_PLACE_RATIO * usual)).tolist()
-    if usual > HOME_SPACINGS * spacing or len(away) > max(1, MAX_MISPLACED_FRACTION * len(own)):
+    if usual > MAX_TYPICAL_DISTANCE * spacing or len(away) > max(1, MAX_MISFIT_FRACTION * len(own)):
         return {}
     x, y = arms[0] * found.T
     return {i: (float(x[i]), float(y[i])) for i in away if _is_free(places, i, found[i], spacing)}
 
 
 def displaced(k: Array, arms: Array) -> Array:
-    """Return (3, n) how far each stands from its place by an (n, n) stiffness, 0 but of a few.
+    """Return the (3, n) errors of the positions by an (n, n) stiffness, 0 except for a few.
 
-    All alpha are alike, arms by the places as they are given. The one that costs most first, while
-    each explains most of what is left.
+    All alpha are about equal, and the arms are those of the declared positions. The most expensive
+    position is corrected first, as long as each explains most of the remaining cost.
     """
     given, arms, spacing = arms, arms.copy(), typical_spacing(arms)
-    for _ in range(max(1, int(MAX_MISPLACED_FRACTION * len(k)))):
+    for _ in range(max(1, int(MAX_MISFIT_FRACTION * len(k)))):
         (i, shift, left), (j, other, other_left) = (_farthest(one, arms) for one in (k, k.T))
         far = float(np.linalg.norm(shift))
-        alike = i == j and float(np.linalg.norm(shift - other)) < MAX_FORCE_SENSOR_DISTANCE * far
-        if not (
-            alike
-            and far > MIN_PLACE_DISTANCE * spacing
-            and max(left, other_left) < MIN_EXPLAINED_COST
-        ):
+        # Force and sensor are found at about the same position, which explains most of the cost.
+        alike = i == j and float(np.linalg.norm(shift - other)) < 0.3 * far
+        if not (alike and far > MIN_PLACE_DISTANCE * spacing and max(left, other_left) < 0.5):
             break
         if not _is_free(arms[1:].T, i, arms[1:, i] + shift, typical_spacing(arms)):
             break
@@ -154,7 +140,7 @@ def displaced(k: Array, arms: Array) -> Array:
 
 
 def _farthest(k: Array, arms: Array) -> tuple[int, Array, float]:
-    """Return who costs most by its place, (2,) by how much, and which part of all is left then."""
+    """Return the most expensive position, its (2,) error, and the part of the cost that remains."""
     square, cost = np.sum(k**2, axis=0), k @ arms.T
     gain, *move = -(k.T @ cost / square[:, None]).T
     shift = np.array(move) - gain / arms[0] * arms[1:]
@@ -164,6 +150,6 @@ def _farthest(k: Array, arms: Array) -> tuple[int, Array, float]:
 
 
 def _is_free(places: Array, i: int, there: Array, spacing: float) -> bool:
-    """Tell whether none of (n, 2) places but that of i is at (2,) ``there``."""
+    """Return whether no other of (n, 2) positions is near (2,) ``there``."""
     others = np.linalg.norm(np.delete(places, i, axis=0) - there, axis=1)
-    return bool(others.min() > FREE_DISTANCE * spacing)
+    return bool(others.min() > 0.5 * spacing)

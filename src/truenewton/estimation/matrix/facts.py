@@ -1,11 +1,12 @@
-"""Properties of a stiffness matrix, each computed once, and what they show of alpha.
+"""Properties of a stiffness matrix, each computed once, and tests of alpha that they permit.
 
-A free shell costs no force where it is moved rigidly: K {1, x, y} vanishes but for the gains of the
-sensors, and {1, x, y}' K but for alpha, which scatters more; transposed, they change places.
+A rigid motion costs a free shell no force: K {1, x, y} vanishes except for the gains of the
+sensors, and {1, x, y}' K except for alpha, which scatters more. In a transposed matrix they change
+places.
 
 The true stiffness K = diag(alpha) M diag(1 / g) of an elastic body is symmetric and has no negative
-mode (M: commanded force per reading, g: true displacement per reading). Neither enters the balance
-of forces, so both test alpha and the matrix independently.
+mode (M: commanded force per reading, g: true displacement per reading). Neither property enters the
+balance of forces, so both test alpha and the matrix independently.
 """
 
 from __future__ import annotations
@@ -28,35 +29,21 @@ from truenewton.statics.arms import comparable_arms
 
 # Of the stiffest: softer modes mix with the rigid motions through the bias magnets' gradient.
 MIN_SINGULAR_VALUE = 1e-4
-RIGID_MODES = 3  # piston and two tilts: about 0, of either sign
 MIN_ASYMMETRY = 0.005  # below which symmetry is not judged
-# Times as much that rigid displacements cost as forces are out of balance.
-TRANSPOSED_COST_RATIO = 2.0
-# Of the own stiffness: more than gains of sensors cost, which scatter by per cent.
+TRANSPOSED_COST_RATIO = 2.0  # cost of rigid displacements relative to the imbalance of columns
+# Of the diagonal element: more than the gains of sensors cost, which scatter by per cent.
 MAX_SENSOR_COST = 0.05
-# Of the own stiffness: no measured columns balance so, nor are coils so alike.
-MAX_REBALANCED_IMBALANCE = 1e-6
-MIN_UNLIKENESS = 1e-3  # of the asymmetry: nor so much better than rows are like columns
-# Of the asymmetry: rounding that leaves less than that out of balance may hide alpha.
-MIN_ROUNDING_SHARE = 0.2
-ROUNDING_RATIO = 2.0  # times as far out of balance as rounding leaves typically
-DIGIT_COUNTS = range(3, 7)  # significant digits of a file; more leave what single precision leaves
-WRITTEN_TOLERANCE = 0.02  # of a step, within which an element is written with so many digits
+# Imbalance and asymmetry, relative to the stiffness: no measured matrix has less.
+MIN_MEASURED_DEVIATION = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticModes:
-    """The elastic modes U S V' of a stiffness, stiffest first; the softest are left out.
+    """The elastic modes U S V' of a stiffness, stiffest first, without the softest."""
 
-    Attributes
-    ----------
-    forces, values, readings
-        (n, m) U, of unit length, (m,) S [N/m], (n, m) V.
-    """
-
-    forces: Array
-    values: Array
-    readings: Array
+    forces: Array  # (n, m) U, of unit length
+    values: Array  # (m,) S [N/m]
+    readings: Array  # (n, m) V
 
     def every(self, some: slice) -> ElasticModes:
         """Return some of the modes."""
@@ -64,22 +51,16 @@ class ElasticModes:
 
     @property
     def stiffness(self) -> Array:
-        """(n, n) of these modes alone [N/m]."""
+        """(n, n) stiffness of these modes alone [N/m]."""
         return np.asarray((self.forces * self.values) @ self.readings.T)
 
 
 @dataclass(frozen=True, eq=False)
 class MatrixFacts:
-    """Properties of a stiffness matrix, each computed when it is first asked for.
+    """Properties of a stiffness matrix, each computed when it is first used."""
 
-    Attributes
-    ----------
-    stiffness, arms
-        (n, n) commanded force per reading [N/m]; (3, n) arms in comparable units.
-    """
-
-    stiffness: Array
-    arms: Array
+    stiffness: Array  # (n, n) commanded force per reading [N/m]
+    arms: Array  # (3, n) in comparable units
 
     @classmethod
     def of(cls, matrix: StiffnessMatrix) -> MatrixFacts:
@@ -97,10 +78,10 @@ class MatrixFacts:
 
     @property
     def elastic_modes(self) -> ElasticModes:
-        """The elastic modes; noise may lift rigid motions above the limit: three are never so."""
+        """The elastic modes, n - 3 at most."""
         forces, values, readings = self._decomposition
         stiff = np.count_nonzero(values > MIN_SINGULAR_VALUE * values[0])
-        count = min(int(stiff), len(values) - 3)
+        count = min(int(stiff), len(values) - 3)  # noise may lift the three rigid motions
         return ElasticModes(forces[:, :count], values[:count], readings[:count].T)
 
     @cached_property
@@ -129,68 +110,61 @@ class MatrixFacts:
 
     @property
     def rigid_cost(self) -> float:
-        """What a rigid displacement costs in terms of the own stiffness, the median over all."""
+        """Median force of a rigid displacement, relative to the diagonal element."""
         return self._cost_and_imbalance[0]
 
     @property
     def imbalance(self) -> float:
-        """How far a column is out of balance, in the same terms."""
+        """Median imbalance of a column, relative to its diagonal element."""
         return self._cost_and_imbalance[1]
 
     @cached_property
     def balances_by_rounding(self) -> bool:
-        """Whether commanded forces balance but for rounding, so that nothing tells alpha.
+        """Whether commanded forces balance except for rounding, so that alpha cannot be estimated.
 
-        Rounding of the computer, of single precision, or that of a file with few digits. Not where
-        rigid motions cost more than gains of sensors do: so are displacements cleaned, and
-        transposed.
+        The rounding is that of the computer, of single precision, or of a file with few digits. If
+        rigid motions cost more than the gains of sensors do, only displacements were cleaned, and
+        the matrix is transposed.
         """
         imbalance, unlike, k = self.imbalance, self.asymmetry, self.stiffness
         if self.rigid_cost > MAX_SENSOR_COST:
             return False
-        if imbalance < max(MAX_REBALANCED_IMBALANCE, MIN_UNLIKENESS * unlike):
+        # No measured columns balance a thousand times better than rows are like columns.
+        if imbalance < max(MIN_MEASURED_DEVIATION, 1e-3 * unlike):
             return True
-        if imbalance > MIN_ROUNDING_SHARE * unlike:
+        if imbalance > 0.2 * unlike:  # rounding would hide the asymmetry as well
             return False
         own, steps = np.abs(np.diag(k)), rounding_steps(list(k.T))[:, None]  # of each actuator
         variances = np.maximum(steps, _digit_steps(k)) ** 2 / 12.0
         rounded = np.sqrt(np.sum(self.arms**2, axis=0) @ variances)
         rounded = rounded / np.where(own > 0.0, own, np.inf)
-        return imbalance < ROUNDING_RATIO * float(np.median(rounded))
+        return imbalance < 2.0 * float(np.median(rounded))
 
     @property
     def looks_transposed(self) -> bool:
-        """Whether rigid displacements cost much more than columns are out of balance."""
+        """Whether rigid displacements cost much more than the imbalance of columns."""
         costs_more = self.rigid_cost > TRANSPOSED_COST_RATIO * self.imbalance
         return costs_more and not self.balances_by_rounding
 
 
 def _digit_steps(k: Array) -> Array:
-    """Return the step of each of (n, n) elements, by the significant digits that all have, or 0."""
+    """Return the (n, n) rounding steps of the significant digits that all elements have, or 0."""
     size = np.abs(k)
     tens = 10.0 ** np.floor(np.log10(np.where(size > 0.0, size, 1.0)))
-    for digits in DIGIT_COUNTS:
+    for digits in range(3, 7):  # more digits leave what single precision leaves
         steps = tens * 10.0 ** (1 - digits)
-        if (np.abs(size / steps - np.round(size / steps)) < WRITTEN_TOLERANCE).all():
+        if (np.abs(size / steps - np.round(size / steps)) < 0.02).all():
             return np.where(size > 0.0, steps, 0.0)
     return np.zeros_like(k)
 
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Symmetry of a measured matrix: |K - K'| / |K + K'|, Frobenius norms.
+    """|K - K'| / |K + K'| of a measured matrix (Frobenius norms); NaN if not known."""
 
-    Attributes
-    ----------
-    asymmetry
-        As commanded.
-    asymmetry_with_alpha, asymmetry_with_gains
-        With alpha, and with the gains of the sensors too; NaN if these are not known.
-    """
-
-    asymmetry: float
-    asymmetry_with_alpha: float
-    asymmetry_with_gains: float = float("nan")
+    asymmetry: float  # as commanded
+    asymmetry_with_alpha: float  # with alpha
+    asymmetry_with_gains: float = float("nan")  # with alpha and the gains of the sensors
 
 
 def symmetry_of(facts: MatrixFacts, alpha: Array, gain: Array | None = None) -> Symmetry:
@@ -206,12 +180,12 @@ def negative_modes(commanded: Array, alpha: Array) -> tuple[Array, float]:
     # A symmetric matrix of noise with standard deviation s has no mode beyond 2 s root n (Wigner).
     s = float(np.sqrt(np.mean((k - k.T) ** 2))) / 2.0  # of the noise in the symmetric part
     values = np.sign(np.trace(k)) * scipy.linalg.eigvalsh(0.5 * (k + k.T))
-    elastic = values[np.argsort(np.abs(values))[RIGID_MODES:]]
+    elastic = values[np.argsort(np.abs(values))[3:]]  # rigid modes: about 0, of either sign
     return np.sort(elastic[elastic < 0.0]), 2.0 * s * float(np.sqrt(len(k)))
 
 
 def doubts_of(commanded: Array, alpha: Array, symmetry: Symmetry) -> Iterator[Finding]:
-    """Yield what speaks against an (n, n) matrix or its (n,) alpha."""
+    """Yield what contradicts an (n, n) matrix or its (n,) alpha."""
     negative, by_noise = negative_modes(commanded, alpha)
     if negative.size:
         beyond = -negative[0] > LIMITS.negative_edges * by_noise

@@ -1,9 +1,13 @@
-"""Actuators of a stiffness matrix that do not fit the others: found robustly, and set free.
+"""Actuators and sensors of a stiffness matrix that do not fit the others.
 
-A true stiffness is symmetric, so a commanded one is but for a factor of each actuator, which pairs
-of neighbours give whatever a few of them say. What then differs in sign or size, is unlike its
-column, stands where its neighbour should, or leaves a column out of balance, does not fit. States
-in which such actuators push nothing say nothing of them, whatever their sensors read.
+A true stiffness is symmetric, so a commanded one is except for a factor of each actuator. Pairs of
+neighbours give this factor robustly. An actuator does not fit if its row then differs in sign or
+size, is unlike its column, belongs to another position, or leaves a column out of balance. States
+in which such actuators exert no force do not depend on them, whatever their sensors read.
+
+Symmetry gives the factor of a row relative to its column, and not which of them is wrong. The
+columns of the neighbours do: they balance with the measured row, whatever the gain of its sensor,
+but not with a row that was made to agree with a wrong column.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.matrix.couplings import (
     ELSEWHERE,
+    MAX_MISFIT_FRACTION,
     NEAR_SPACINGS,
     displaced,
     pair_ratios,
@@ -31,37 +36,26 @@ MIN_GAIN_FACTOR = 1.1  # from that of other sensors, from which one is wrong, an
 # Times what is typical of log t: sensors off their magnets feign gains, all of them.
 MIN_GAIN_DEVIATION = 4.5
 MAX_GAIN_REMAINDER = 0.5  # of what the columns around are out of balance by, at most
-SAME_ELEMENT_TOLERANCE = 0.03  # of an own element
-TRANSPOSE_TOLERANCE = 0.03  # of an element, that it may differ from its transpose
-MAX_SOUGHT_FACTOR = 30.0  # factor that is looked for
-FACTOR_PENALTY = 0.03  # imbalance, in terms of an own element, that pays for one factor of 2
-MIN_IMBALANCE_RATIO = 5.0  # times what is typical: columns out of balance
+ELEMENT_TOLERANCE = 0.03  # of an element, within which it is the same as its transpose
+MAX_SOUGHT_FACTOR = 30.0  # largest gain error that is looked for
+MIN_IMBALANCE_RATIO = 5.0  # relative to the median: columns that are out of balance
 # Of what those columns are out of balance by, if many gains are wrong at once.
 MAX_COMMON_REMAINDER = 0.05
-MIN_LOG_FACTOR = 0.02  # factor that is taken for none, in reweighting
 
 
 def wrong_gains(
     even: Array, a: Array, strong: NDArray[np.bool_], noisy: Sequence[int] = ()
 ) -> Array:
-    """Return (n,) gains of the sensors, 1 but where one is wrong.
+    """Return (n,) gains of the sensors, 1 except where one is wrong.
 
-    A gain g makes a row that agrees with its column g times too large. Many in one sector are found
-    together if that cures all columns around; else one by one, each the median over the columns
-    around it, the one that cures most first. A sensor off its magnet reads a slope besides, which
-    looks like a gain; so one is wrong only if it stands out from what the others seem to have.
+    A gain g makes a row that agrees with its column g times too large. Several in one sector are
+    found together if that balances all columns around them. Otherwise they are found one by one,
+    each by the median over the columns around it, the most effective first. A sensor off its magnet
+    also reads a slope, which looks like a gain, so a gain must stand out from the others.
 
-    Parameters
-    ----------
-    even
-        (n, n) stiffness, rows scaled to agree with the columns.
-    a
-        (3, n) arms in comparable units.
-    strong
-        (n, n) which pairs are coupled, the diagonal not.
-    noisy
-        Whose columns are unlike their rows: where many are found together, what noise leaves of
-        these out of balance is no matter of rows.
+    ``even`` is the (n, n) stiffness with rows scaled to agree with the columns, ``a`` (3, n) arms,
+    and ``strong`` (n, n) marks coupled pairs. The columns of ``noisy`` actuators are unlike their
+    rows: their imbalance is not attributed to rows if gains are found together.
     """
     together = _gains_together(even, a, noisy)
     if together is not None:
@@ -102,23 +96,24 @@ def wrong_gains(
 
 
 def _own(even: Array) -> Array:
-    """Return (n,) sizes of the own elements; the median where one is 0."""
+    """Return (n,) sizes of the diagonal elements; the median where one is 0."""
     own = np.abs(np.diag(even))
     return np.where(own > 0.0, own, np.median(own))
 
 
 def _gains_together(even: Array, a: Array, noisy: Sequence[int]) -> Array | None:
-    """Return (n,) gains that cure the columns about them all; None where no few do.
+    """Return (n,) gains that balance all columns around them; None if no few gains do.
 
-    Rows t with a diag(t) K = 0 by least absolute imbalance of columns, |t - 1| of each row
-    penalized, so that few differ from 1; then these alone, without penalty.
+    The rows t of a diag(t) K have least absolute imbalance. |t - 1| is penalized, so that few rows
+    differ from 1; these are then fitted without penalty.
     """
     columns = even / _own(even)
     before = np.linalg.norm(a @ columns, axis=0)
     out = before > MIN_IMBALANCE_RATIO * np.median(before)
     columns[:, list(noisy)], out[list(noisy)] = 0.0, False
     far = np.arange(len(even))
-    for penalty in (FACTOR_PENALTY, 1e-6):  # the second as good as none
+    # A factor of 2 must remove an imbalance of 3 % of a diagonal element; then no penalty.
+    for penalty in (0.03, 1e-6):
         t = _row_factors(columns, a, far, penalty)
         far = np.flatnonzero(
             np.abs(np.log(np.maximum(t, 1.0 / MAX_SOUGHT_FACTOR))) > np.log(MIN_GAIN_FACTOR)
@@ -138,13 +133,13 @@ def _gains_together(even: Array, a: Array, noisy: Sequence[int]) -> Array | None
 
 
 def _row_factors(columns: Array, a: Array, some: NDArray[np.int64], penalty: float) -> Array:
-    """Return (n,) factors of rows, some of them not 1, by which (n, n) columns balance best."""
+    """Return (n,) factors of some rows, 1 for the others, by which the columns balance best."""
     t, products = np.ones(len(columns)), a.T @ a
     for _ in range(25):
         size = np.linalg.norm((a * t) @ columns, axis=0)
         weight = 1.0 / np.maximum(size, max(float(np.median(size)), 1e-6))
         square = products[some] * ((columns[some] * weight) @ columns.T)
-        held = penalty / np.maximum(np.abs(t[some] - 1.0), MIN_LOG_FACTOR)
+        held = penalty / np.maximum(np.abs(t[some] - 1.0), 0.02)
         step = np.linalg.solve(square[:, some] + np.diag(held), square.sum(axis=1))
         change, t[some] = np.abs(t[some] - 1.0 + step).max(), 1.0 - step
         if change < 1e-3:
@@ -153,21 +148,11 @@ def _row_factors(columns: Array, a: Array, some: NDArray[np.int64], penalty: flo
 
 
 def signs(even: Array, a: Array, wrong: NDArray[np.int64], strong: NDArray[np.bool_]) -> Array:
-    """Return (n,) signs of the sensors, -1 where the sensor is turned and not the coil.
+    """Return (n,) signs of the sensors, -1 if the sensor is reversed and not the coil.
 
-    Either turns the own element and makes row and column differ in sign; but if it is the sensor,
-    the columns around balance with the row as it was measured.
-
-    Parameters
-    ----------
-    even
-        (n, n) stiffness, rows scaled and turned to agree with the columns.
-    a
-        (3, n) arms in comparable units.
-    wrong
-        Actuators of wrong sign.
-    strong
-        (n, n) which pairs are coupled, the diagonal not.
+    Either reverses the diagonal element, and makes row and column differ in sign. If it is the
+    sensor, the columns around balance with the measured row. Arguments as for `wrong_gains`, with
+    the indices of the actuators of wrong sign.
     """
     own = _own(even)
     rho, sign = a @ even, np.ones(len(even))
@@ -180,22 +165,10 @@ def signs(even: Array, a: Array, wrong: NDArray[np.int64], strong: NDArray[np.bo
 
 
 def fill_by_symmetry(k: Array, a: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Return the matrix with rows that are zero by their columns and the reverse, and which.
+    """Return the (n, n) matrix with zero rows filled by columns and the reverse, and their indices.
 
-    An actuator of which a row is there pushed, whatever its sensor reads; one of which the column
-    is there pushed if the other columns balance with the row that symmetry lets expect.
-
-    Parameters
-    ----------
-    k, a
-        (n, n) stiffness [N/m] and (3, n) arms in comparable units.
-
-    Returns
-    -------
-    Array
-        (n, n), own elements as they balance.
-    rows, columns
-        Indices of those that were zero.
+    An actuator with a row exerted force, whatever its sensor reads. One with a column did if the
+    other columns balance with the row that symmetry predicts. Arms are (3, n).
     """
     there, read = k.any(axis=1), k.any(axis=0)
     rows, columns = np.flatnonzero(read & ~there), np.flatnonzero(there & ~read)
@@ -217,19 +190,7 @@ def fill_by_symmetry(k: Array, a: Array) -> tuple[Array, NDArray[np.int64], NDAr
 
 
 def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> bool:
-    """Tell whether columns near an actuator balance better with its row than with its column.
-
-    Parameters
-    ----------
-    even
-        (n, n) stiffness, rows scaled to agree with the columns.
-    a
-        (3, n) arms in comparable units.
-    i
-        The actuator.
-    near
-        (n,) the columns to judge by.
-    """
+    """Return whether columns near actuator i balance better with its row than with its column."""
     rho = a @ even
     by_column = rho + a[:, [i]] * (even[:, i] - even[i])
     own = _own(even)
@@ -238,16 +199,16 @@ def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> boo
 
 
 def agrees(even: Array, i: int, near: NDArray[np.bool_]) -> bool:
-    """Tell whether a column of an (n, n) stiffness is its row, at the (n,) others near it."""
-    far = np.abs(even[near, i] - even[i, near]) > TRANSPOSE_TOLERANCE * np.abs(even[i, near])
+    """Return whether a column of an (n, n) stiffness equals its row, at the (n,) others near it."""
+    far = np.abs(even[near, i] - even[i, near]) > ELEMENT_TOLERANCE * np.abs(even[i, near])
     return not far.any() or float(np.median(far)) < 0.5
 
 
 def columns_by_rows(even: Array, a: Array, bad: NDArray[np.int64]) -> Array:
-    """Return an (n, n) stiffness with the columns of bad sensors by the rows of their actuators.
+    """Return an (n, n) stiffness with the columns of bad sensors replaced by their rows.
 
-    Between two of them neither element is right: both count half, and take what the column is then
-    out of balance by, those of neighbours most.
+    Neither element between two of them is right: they are averaged, and take up the imbalance of
+    the column, those of neighbours most. Arms are (3, n).
     """
     out, some = even.copy(), np.ix_(bad, bad)
     out[some] = 0.5 * (even[some] + even[some].T)
@@ -267,30 +228,24 @@ def columns_by_rows(even: Array, a: Array, bad: NDArray[np.int64]) -> Array:
 def column_by_row(even: Array, a: Array, i: int) -> Array:
     """Return the (n,) column of a bad sensor: the row of its actuator.
 
-    Its own element is as read if the column balances so, else what balances it.
-
-    Parameters
-    ----------
-    even, a, i
-        As in `better_by_row`.
+    The diagonal element stays if the column balances with it; otherwise it balances the column.
     """
     column = even[i].copy()
     column[i] = 0.0
     balanced = -float(a[:, i] @ (a @ column)) / float(a[:, i] @ a[:, i])
-    alike = abs(balanced - even[i, i]) < SAME_ELEMENT_TOLERANCE * abs(balanced)
+    alike = abs(balanced - even[i, i]) < ELEMENT_TOLERANCE * abs(balanced)
     column[i] = even[i, i] if alike else balanced
     return np.asarray(column)
 
 
-MAX_ALPHA_RATIO = 3.0  # of alpha from that of the others
-ASYMMETRY_RATIO = 8.0  # what is typical of an actuator, and
-MIN_ROW_ASYMMETRY = 0.05  # of its couplings: how far from symmetry one does not fit
-COLUMN_IMBALANCE_RATIO = 12.0  # what is typical of a column, and
-MIN_COLUMN_IMBALANCE = 0.05  # of the own stiffness: how far out of balance one does not fit
-ELEMENT_RATIO = 30.0  # what is typical of elements of its size and of both actuators, and
-MIN_ELEMENT_DIFFERENCE = 0.01  # of the own stiffness: an element that differs from its transpose
-MIN_EXCHANGE_GAIN = 1.2  # times better with both exchanged; good neighbours are at 0.6 at most
-MAX_MISFIT_FRACTION = 0.1  # of all actuators may not fit; beyond it nothing does
+MAX_ALPHA_RATIO = 3.0  # of alpha to that of the others
+ASYMMETRY_RATIO = 8.0  # asymmetry of an actuator relative to the median
+COLUMN_IMBALANCE_RATIO = 12.0  # imbalance of a column relative to the median
+# Asymmetry relative to the couplings, imbalance relative to the diagonal: less is no misfit.
+MIN_MISFIT = 0.05
+ELEMENT_RATIO = 30.0  # difference relative to elements of its size and of both actuators
+MIN_ELEMENT_DIFFERENCE = 0.01  # from the transpose, relative to the diagonal
+MIN_EXCHANGE_GAIN = 1.2  # misfit relative to that with both exchanged; neighbours reach 0.6
 
 OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
 SENSOR_SIGN = "its sensor has the other sign"
@@ -298,18 +253,20 @@ SENSOR_GAIN, SENSOR = "its sensor has another gain", "its sensor reads something
 ROW_UNLIKE_COLUMN = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
 NO_SENSOR, NO_FORCE = "its sensor reads nothing", "its row is zero, though it pushed"
-ALPHA_DOUBTS = {
+# Force at zero command relative to the couplings, after correction; that of an unknown row.
+UNKNOWN_FORCE = 0.3
+REMAINING_FORCES = {
     SENSOR: 0.1,
-    NO_SENSOR: 0.3,
-    NO_FORCE: 0.3,
-    ROW_UNLIKE_COLUMN: 0.3,
+    NO_SENSOR: UNKNOWN_FORCE,
+    NO_FORCE: UNKNOWN_FORCE,
+    ROW_UNLIKE_COLUMN: UNKNOWN_FORCE,
     ELEMENT_WRONG: 0.03,
 }
 
 
 @dataclass(frozen=True)
 class BadActuator:
-    """An actuator that does not fit: its index, why, and how far, as a ratio."""
+    """An actuator that does not fit: its index, the reason, and the size as a ratio."""
 
     index: int
     reason: str
@@ -317,27 +274,22 @@ class BadActuator:
 
     @property
     def doubt(self) -> float:
-        """Force where its command is zero, in terms of its couplings; as far as it was mended."""
-        return ALPHA_DOUBTS.get(self.reason, 0.0)
+        """Force at zero command relative to the couplings, after correction."""
+        return REMAINING_FORCES.get(self.reason, 0.0)
 
 
 class FitsNoSymmetry(RankDeficient):
-    """So many actuators do not fit the others that there is no telling which."""
+    """So many actuators do not fit that the bad ones cannot be identified."""
 
 
 def bad_actuators(
     facts: MatrixFacts, gaps: Array, filled: Sequence[int] = ()
 ) -> tuple[tuple[BadActuator, ...], Array]:
-    """Return the actuators that do not fit the others, and the stiffness mended where it can be.
+    """Return the actuators that do not fit, and the (n, n) stiffness corrected where possible.
 
-    Parameters
-    ----------
-    facts
-        Of a stiffness of which no row or column is zero throughout.
-    gaps
-        (3, m) arms of actuators that are not in the matrix, about which columns need not balance.
-    filled
-        Whose rows or columns were not there, and are by symmetry.
+    ``facts`` are those of a stiffness without empty rows or columns. ``gaps`` are (3, m) arms of
+    actuators that are not in the matrix, around which columns need not balance. ``filled`` are the
+    indices of rows or columns that were filled by symmetry.
 
     Raises
     ------
@@ -408,7 +360,7 @@ def bad_actuators(
 
 
 def _make_alike(even: Array, a: Array, some: Sequence[int], linked: NDArray[np.bool_]) -> None:
-    """Put the column of some in place of the row, or the reverse, whichever balances, in place."""
+    """Replace the row by the column of some actuators, or the reverse, whichever balances."""
     for i in some:
         if better_by_row(even, a, i, linked[i]):
             even[:, i] = column_by_row(even, a, i)
@@ -422,7 +374,7 @@ def _apart(pairs: list[tuple[int, float]], reason: str) -> tuple[NDArray[np.int6
 
 
 def _unlike_their_columns(misfit: Array) -> list[tuple[int, float]]:
-    """Return actuators most of whose couplings differ from their transposes, the worst first."""
+    """Return actuators with most couplings unlike their transposes, the worst first."""
     misfit = np.minimum(misfit, 10.0)
     out: list[tuple[int, float]] = []
     while True:
@@ -430,16 +382,16 @@ def _unlike_their_columns(misfit: Array) -> list[tuple[int, float]]:
         typical = np.zeros(len(misfit))
         typical[linked > 0] = np.nanmedian(misfit[linked > 0], axis=1)
         worst, usual = int(np.argmax(typical)), float(np.median(typical))
-        if typical[worst] <= max(ASYMMETRY_RATIO * usual, MIN_ROW_ASYMMETRY):
+        if typical[worst] <= max(ASYMMETRY_RATIO * usual, MIN_MISFIT):
             return out
         out.append((worst, float(typical[worst])))
         misfit[worst], misfit[:, worst] = np.nan, np.nan
 
 
 def exchanged_places(k: Array, a: Array) -> NDArray[np.int64]:
-    """Return (n,) whose place of (3, n) arms each actuator of an (n, n) stiffness stands at.
+    """Return whose position of (3, n) arms each actuator of an (n, n) stiffness occupies.
 
-    What a coupling is at some distance, all pairs say; neighbours are exchanged while their
+    All pairs give the coupling as a function of distance. Neighbours are exchanged while their
     couplings fit better so, the best first.
     """
     x, y = a[1], a[2]
@@ -473,11 +425,11 @@ def exchanged_places(k: Array, a: Array) -> NDArray[np.int64]:
 def _mend_elements(
     k: Array, a: Array, holes: Array, mended: Sequence[int]
 ) -> list[tuple[int, float]]:
-    """Return actuators whose row has an element that cannot be, and mend it in place.
+    """Correct elements in place that cannot be right; return their rows and sizes.
 
-    A force too much in a column shows where it is: its moments over its size are its place. And an
-    element that differs from its transpose is wrong in the column that is further from balance.
-    About (3, h) holes columns need not balance, nor need those that were mended.
+    The moments of an excess force in a column, over its size, give its position. An element that
+    differs from its transpose is wrong in the column that is further from balance. Around (3, h)
+    holes columns need not balance, nor need those of ``mended``.
     """
     out: list[tuple[int, float]] = []
     own = np.abs(np.diag(k))
@@ -508,7 +460,7 @@ def _mend_elements(
         size[column] = np.linalg.norm(rho[:, column])
         k[row, column] = k[column, row]
         out.append((int(row), float(times[i, j])))
-    limit = np.maximum(COLUMN_IMBALANCE_RATIO * np.median(size) * usual, MIN_COLUMN_IMBALANCE)
+    limit = np.maximum(COLUMN_IMBALANCE_RATIO * np.median(size) * usual, MIN_MISFIT)
     size[list(mended)] = 0.0
     for j in np.flatnonzero((size > limit) & ~explained):
         force = rho[:, j] @ a / np.sum(a**2, axis=0)
@@ -531,21 +483,11 @@ def _by_level(values: Array, level: Array) -> Array:
 
 
 def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Return the stiffness in states where some actuators push nothing, and what that does to E.
+    """Return the stiffness in states in which some actuators exert no force, and its errors.
 
-    K_gg - K_gb K_bb^-1 K_bg = L K P; to first order errors E of K become L E P.
-
-    Parameters
-    ----------
-    k
-        (n, n); rows or columns that are zero say nothing, and are left out.
-    good
-        (n,) which stay.
-
-    Returns
-    -------
-    K, L, P
-        (g, g), (g, n) and (n, g).
+    K_gg - K_gb K_bb^-1 K_bg = L K P; to first order errors E of K become L E P. ``good`` marks the
+    (n,) actuators that stay; empty rows or columns of the (n, n) k are left out. Returned are (g,
+    g) K, (g, n) L and (n, g) P.
     """
     left, right = np.eye(len(k))[good], np.eye(len(k))[:, good]
     free = np.asarray(~good & k.any(axis=1) & k.any(axis=0), dtype=np.bool_)
@@ -561,18 +503,10 @@ def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
 def residual_force(
     k: Array, a: Array, good: NDArray[np.bool_], doubt: NDArray[np.float64]
 ) -> Array:
-    """Return (n_good, 3, 3) covariance of forces that actuators left out may still exert.
+    """Return (n_good, 3, 3) covariances of forces that actuators left out may still exert.
 
-    Whatever is wrong with a row, its actuator need not be at rest where it is told to be.
-
-    Parameters
-    ----------
-    k, a
-        (n, n) stiffness [N/m], (3, n) arms.
-    good
-        (n,) which are not left out.
-    doubt
-        (n,) force in terms of the couplings; where rows are zero of the own stiffness.
+    ``k`` is (n, n) [N/m], ``a`` (3, n) arms, ``good`` (n,) those not left out. ``doubt`` is the
+    (n,) force relative to the couplings, or to the diagonal for empty rows.
     """
     c = np.abs(relative_couplings(k))
     c = np.maximum(c, c.T)

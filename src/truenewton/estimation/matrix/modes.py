@@ -1,8 +1,9 @@
 """Relative alpha from a stiffness matrix alone: elastic forces balance by themselves (k = 0).
 
-The left singular vectors of the measured stiffness are force patterns on which weight, bias and
-torques cancel. With equal weight each, alpha is the pattern that best balances them all: the
-smallest singular vector of the stacked A diag(u), its mean set to 1.
+The left singular vectors of the measured stiffness are force patterns in which weight, bias and
+torques cancel. `svd` weights them equally: alpha is the smallest singular vector of the stacked A
+diag(u), its mean set to 1. `ml` uses the columns, each with the noise that its data show; beside
+cycles, the modes are used as shapes.
 """
 
 from __future__ import annotations
@@ -38,48 +39,25 @@ from truenewton.linalg import singular_values_and_vectors
 from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms
 
-# Own stiffness of a mirror's actuators, typically and at the least and most, in N/m.
+# Diagonal element of a mirror's stiffness [N/m]: typical, least and most.
 TYPICAL_STIFFNESS, MIN_PLAUSIBLE_STIFFNESS, MAX_PLAUSIBLE_STIFFNESS = 2e6, 2e4, 2e9
 UNITS = {-1: "N/mm", -2: "N/um", -3: "N/nm"}  # by powers of a thousand
-# Asymmetry that no gains explain: a third of scatter in alpha makes a quarter, another order one.
-MAX_DISORDER = 0.5
+# No gains explain more: alpha that scatters by a third makes 0.25, another order 1.
+MAX_ASYMMETRY = 0.5
 EVEN_MODES, ODD_MODES = slice(0, None, 2), slice(1, None, 2)  # modes, the first stiffest
-
-
-@dataclass(frozen=True)
-class Imbalance:
-    """Rms imbalance of elastic modes, each of unit length, over modes and the three equations."""
-
-    modes: str
-    before: float
-    after: float
-    alpha: Array | None = field(default=None, compare=False, repr=False)  # (n,) as fitted
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticFit:
-    """Relative alpha of elastic modes.
+    """Relative alpha of elastic modes."""
 
-    Attributes
-    ----------
-    method
-        As it stands in the calibration file.
-    alpha, covariance
-        (n,) with mean 1, and its (n, n) covariance.
-    singular_values
-        (n,) of the balance of the modes, ascending; the first belongs to alpha.
-    variance
-        Of the noise of one element of a mode, from the minimum; NaN where no method needs it.
-    warnings
-        What is weak.
-    """
-
-    method: str
-    alpha: Array
-    covariance: Array
+    method: str  # as in the calibration file
+    alpha: Array  # (n,) with mean 1
+    covariance: Array  # (n, n) of alpha
+    # (n,) of the balance of the modes, ascending; the first belongs to alpha
     singular_values: Array
-    variance: float = float("nan")
-    warnings: tuple[Finding, ...] = ()
+    variance: float = float("nan")  # noise of one element of a mode; NaN if not needed
+    warnings: tuple[Finding, ...] = ()  # which results are weak
 
 
 ElasticMethod = Callable[[Columns], ElasticFit]
@@ -89,11 +67,11 @@ def columns_of(screened: ScreenedMatrix) -> Columns:
     """Return the columns of a screened matrix."""
     facts = screened.facts
     k, a = facts.stiffness, facts.arms
-    return Columns(k, a, a, screened.disturbance, screened.start, k, facts.elastic_modes)
+    return Columns(k, a, screened.disturbance, screened.start, k, facts.elastic_modes)
 
 
 def refuse_few_modes(count: int, n: int) -> None:
-    """Raise RankDeficient where so many elastic modes cannot hold alpha of n actuators."""
+    """Raise RankDeficient if so many elastic modes cannot determine alpha of n actuators."""
     if count * 3 < n + 1:
         raise RankDeficient(
             f"only {counted(count, 'mode')} of STIFFNESS stiffer than"
@@ -107,7 +85,7 @@ def refuse_few_modes(count: int, n: int) -> None:
 def balance_modes(modes: Array, a: Array) -> tuple[Array, Array]:
     """Return (n,) alpha of mean 1 that balances (m, n) modes best, and (n,) singular values.
 
-    Alpha is the smallest singular vector; the values, of the stacked system, ascend.
+    Alpha is the smallest singular vector of the stacked system; the values ascend.
 
     Raises
     ------
@@ -138,22 +116,14 @@ def balance_modes(modes: Array, a: Array) -> tuple[Array, Array]:
 
 
 def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array) -> Array:
-    """Return the (n, n) covariance of alpha with mean 1, from the imbalance that each mode leaves.
+    """Return the (n, n) covariance of alpha with mean 1, from the imbalance of each mode.
 
-    The noise of a mode need not be that of another: soft ones carry more. So each mode is left out
-    in turn, to first order, and the scatter of what the others then say is the error, which errs
-    on the safe side (the jackknife HC3; MacKinnon and White, J. Econometrics 29, 1985). With e the
-    three equations of a mode, whitened by S, and G = sum e'e, its omission moves alpha by
-    G^-1 e' (1 - e G^-1 e')^-1 e alpha.
-
-    Parameters
-    ----------
-    modes, a, alpha
-        (m, n) modes, (3, n) arms, (n,) alpha.
-    s
-        (3, 3) covariance of the three equations, but for a factor.
-    prior
-        (n, n) information beside the modes, in units of the same factor.
+    The noise of one mode may differ from that of another: soft ones carry more. So each mode is
+    left out in turn, to first order, and the scatter of the remaining results is the error, which
+    is conservative (the jackknife HC3; MacKinnon and White, J. Econometrics 29, 1985). With e the
+    three equations of a mode, whitened by the (3, 3) S, and G = sum e'e plus the (n, n) prior, its
+    omission moves alpha by G^-1 e' (1 - e G^-1 e')^-1 e alpha. ``s`` and ``prior`` share an
+    arbitrary factor.
     """
     n = len(alpha)
     root = np.linalg.inv(np.linalg.cholesky(s))
@@ -172,20 +142,118 @@ def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array
 
 
 def singular_fit(columns: Columns) -> ElasticFit:
-    """Balance the elastic modes of columns by the smallest singular vector of them all.
-
-    Raises
-    ------
-    RankDeficient
-    """
+    """Balance the elastic modes of columns by the smallest singular vector of all."""
     modes, a, n = columns.modes.forces.T, columns.a, columns.a.shape[1]
     alpha, singular_values = balance_modes(modes, a)
     covariance = mode_covariance(modes, a, alpha, np.eye(3), np.zeros((n, n)))
     return ElasticFit("svd", alpha, covariance, singular_values)
 
 
+SPURIOUS_FACTOR = 1.27  # variance relative to the information's: more, and noise decides alpha
+
+
+def mode_data(modes: Array, variance: float) -> DataSet:
+    """Return (m, n) elastic modes as shapes without external load, for the likelihood."""
+    m, n = modes.shape
+    sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.ones((1, m)))
+    return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))
+
+
+def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
+    """Return the most likely relative alpha from columns alone.
+
+    If the remaining imbalance is not noise of independent elements, alpha is that of the modes, all
+    with the same noise, and its errors follow from the imbalance of each mode.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    n = columns.a.shape[1]
+    refuse_few_modes(len(columns.modes.values), n)
+    try:
+        fit = fit_columns(columns, population=population)
+    except (RankDeficient, NotConverged):
+        fit_of_modes = likeliest(columns.modes.forces.T, columns.a, population=population)
+        return replace(fit_of_modes, warnings=(Finding.of(Code.COLUMN_NOISE_NOT_INDEPENDENT),))
+    if fit.inflation > SPURIOUS_FACTOR:
+        raise RankDeficient(
+            "noise decides some patterns of alpha: the matrix is too noisy for so many actuators",
+            remedy="use --population, or measure a less noisy matrix",
+            got=fit.inflation,
+            want=SPURIOUS_FACTOR,
+        )
+    if (fit.alpha <= 0.0).any():
+        raise RankDeficient(
+            "the alpha that balances the columns is not positive for every actuator",
+            remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
+        )
+    method = f"ml, population {fit.spread:.2g}" if population else "ml"
+    return ElasticFit(method, fit.alpha, fit.covariance, np.sqrt(fit.eigenvalues))
+
+
+def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit:
+    """Return the most likely relative alpha of (m, n) modes with equal noise in all elements.
+
+    ``population``: treat what is not smooth in alpha as samples of a normal population, whose
+    spread is estimated. The arms ``a`` are (3, n).
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    start, singular_values = balance_modes(modes, a)
+    fit = _at_spread(modes, a, np.inf, start, singular_values)
+    if not population:
+        return fit
+    spread = likeliest_spread(smooth_patterns(a), fit.alpha, fit.covariance)
+    fit = _at_spread(modes, a, spread, start, singular_values)
+    return replace(fit, method=f"ml, population {spread:.2g}")
+
+
+def _at_spread(
+    modes: Array, a: Array, spread: float, start: Array, singular_values: Array
+) -> ElasticFit:
+    n, freedom = a.shape[1], 3 * len(modes) - a.shape[1] + 1
+    s, smooth = (a * start**2) @ a.T, smooth_patterns(a)
+    if np.linalg.cond(s) > 1e12:  # fewer than three actuators have an alpha
+        raise RankDeficient(
+            "the alpha that balances STIFFNESS is that of a few actuators alone",
+            remedy="look for rows that are not like the others",
+        )
+    white = np.linalg.inv(np.linalg.cholesky(s)) @ a
+    rows = balance_rows(modes, white) @ start
+    least = 1e-18 / n  # rounding of a mode's element
+    variance, values = max(float(rows @ rows) / freedom, least), start
+    for _ in range(20):
+        # Elastic forces leave the scale free, so nothing but this holds the mean at 1.
+        scale = float(np.sum(singular_values**2)) / variance
+        prior = Prior(np.ones(n), np.full((n, n), scale / n))
+        prior = with_population(prior, smooth, values, spread)
+        minimum = minimise(a, [mode_data(modes, variance)], prior, values)
+        size, values = minimum.chi2 / freedom, minimum.values / minimum.values.mean()
+        if abs(size - 1.0) < 1e-6 or variance * size < least:
+            break
+        variance *= size
+    s = (a * values**2) @ a.T
+    pulled = pull(on_logarithms(smooth, spread), values)[1] * variance
+    covariance = mode_covariance(modes, a, values, s, pulled)
+    if np.isfinite(spread):
+        covariance = covariance + _shrinkage(modes, a, s, pulled) * variance
+    return ElasticFit("ml", values, covariance, singular_values, variance)
+
+
+def _shrinkage(modes: Array, a: Array, s: Array, pulled: Array) -> Array:
+    """Return the (n, n) covariance of the population's effect on alpha, over variance."""
+    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a)
+    information = rows.T @ rows + pulled
+    information += np.trace(information) / len(pulled) ** 2
+    inverse = np.linalg.inv(information)
+    return np.asarray(inverse @ pulled @ inverse)
+
+
 def fit_balance(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
-    """Find relative alpha from the balance of the modes or columns.
+    """Return relative alpha from the balance of the modes or columns.
 
     Raises
     ------
@@ -222,13 +290,13 @@ def fit_balance(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
 
 
 def _not_as_agreed(facts: MatrixFacts) -> Iterator[Finding]:
-    """Name an asymmetry that no gains explain, rows and columns in two orders; the other sign."""
+    """Yield rows and columns in different orders, or a negative stiffness."""
     if np.trace(facts.stiffness) < 0.0:
         yield Finding(
             code=Code.NEGATIVE_STIFFNESS,
             remedy="reverse the sign of STIFFNESS; relative alpha is the same, modes are not",
         )
-    if facts.asymmetry > MAX_DISORDER:
+    if facts.asymmetry > MAX_ASYMMETRY:
         yield Finding(
             code=Code.ASYMMETRIC_STIFFNESS,
             size=facts.asymmetry,
@@ -238,12 +306,22 @@ def _not_as_agreed(facts: MatrixFacts) -> Iterator[Finding]:
 
 
 def _unit_warnings(facts: MatrixFacts) -> Iterator[Finding]:
-    """Warn of a matrix in another unit than N/m, which alpha does not ask."""
+    """Yield that the matrix is not in N/m, which does not affect relative alpha."""
     own = float(np.median(np.abs(np.diag(facts.stiffness))))
     if not MIN_PLAUSIBLE_STIFFNESS < own < MAX_PLAUSIBLE_STIFFNESS:
         power = round(np.log10(max(own, 1e-300) / TYPICAL_STIFFNESS) / 3.0)
         unit = UNITS.get(power, "counts, or no N/m at least")
         yield Finding.of(Code.STIFFNESS_UNIT, unit=unit, own=own, usual=TYPICAL_STIFFNESS)
+
+
+@dataclass(frozen=True)
+class Imbalance:
+    """Rms imbalance of elastic modes, each of unit length, over modes and the three equations."""
+
+    modes: str
+    before: float
+    after: float
+    alpha: Array | None = field(default=None, compare=False, repr=False)  # (n,) as fitted
 
 
 def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
@@ -252,15 +330,14 @@ def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
 
 
 def imbalances(screened: ScreenedMatrix, fit: ElasticMethod, alpha: Array) -> tuple[Imbalance, ...]:
-    """Return the imbalance with alpha = 1 and with alpha fitted: on all modes, and held out.
+    """Return the imbalance with alpha = 1 and with the fitted (n,) alpha: all modes, and held-out.
 
-    Of all modes (n,) alpha is what the fit has found. Held out: fitted on every second mode and
-    judged on the others, both ways round.
+    Held-out: fitted on every second mode, evaluated on the others, both ways round.
 
     Raises
     ------
     RankDeficient, NotConverged
-        Half of the modes do not hold alpha.
+        Half of the modes do not determine alpha.
     """
     columns = columns_of(screened)
     halves = (columns.modes.every(half) for half in (EVEN_MODES, ODD_MODES))
@@ -273,12 +350,8 @@ def imbalances_of(
 ) -> tuple[Imbalance, ...]:
     """Return the imbalance of all modes and of every second one, with alpha of the others.
 
-    Parameters
-    ----------
-    forces, a
-        (n, m) elastic modes of unit length, stiffest first; (3, n) arms.
-    alpha, of_even, of_odd
-        (n,) fitted on all modes, on the even and on the odd; their mean counts as 1.
+    ``forces`` are (n, m) elastic modes of unit length, stiffest first, ``a`` (3, n) arms. The
+    alphas, (n,), were fitted to all modes, to the even and to the odd; each is divided by its mean.
     """
     ones = np.ones(len(alpha))
 
@@ -292,113 +365,3 @@ def imbalances_of(
         of("odd modes, fitted on the even", ODD_MODES, of_even),
         of("even modes, fitted on the odd", EVEN_MODES, of_odd),
     )
-
-
-# Variance in terms of the information's, above which noise feigns what holds alpha.
-SPURIOUS_FACTOR = 1.27
-MAX_CONDITION = 1e12  # of sum_i alpha_i^2 A_i A_i': beyond it fewer than three actuators have alpha
-
-
-def mode_data(modes: Array, variance: float) -> DataSet:
-    """Return (m, n) elastic modes as shapes without any external load, for the likelihood."""
-    m, n = modes.shape
-    sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.ones((1, m)))
-    return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))
-
-
-def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
-    """Find the likeliest relative alpha from columns alone, their noise as it shows.
-
-    Where what the columns leave is no noise of independent elements, alpha is that of the modes,
-    all with one noise, and its errors from what each mode leaves.
-
-    Raises
-    ------
-    RankDeficient, NotConverged
-    """
-    n = columns.a.shape[1]
-    refuse_few_modes(len(columns.modes.values), n)
-    try:
-        fit = fit_columns(columns, population=population)
-    except (RankDeficient, NotConverged):
-        fit_of_modes = likeliest(columns.modes.forces.T, columns.a, population=population)
-        return replace(fit_of_modes, warnings=(Finding.of(Code.COLUMN_NOISE_NOT_INDEPENDENT),))
-    if fit.feigned > SPURIOUS_FACTOR:
-        raise RankDeficient(
-            "noise decides some patterns of alpha: the matrix is too noisy for so many actuators",
-            remedy="use --population, or measure a less noisy matrix",
-            got=fit.feigned,
-            want=SPURIOUS_FACTOR,
-        )
-    if (fit.alpha <= 0.0).any():
-        raise RankDeficient(
-            "the alpha that balances the columns is not positive for every actuator",
-            remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
-        )
-    method = f"ml, population {fit.spread:.2g}" if population else "ml"
-    return ElasticFit(method, fit.alpha, fit.covariance, np.sqrt(fit.eigenvalues))
-
-
-def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit:
-    """Find the likeliest relative alpha, equal noise in all elements of the modes.
-
-    Parameters
-    ----------
-    modes, a
-        (m, n) force patterns of unit length; (3, n) arms.
-    population
-        Take what is not smooth in alpha for samples of a normal population, whose spread the modes
-        give.
-
-    Raises
-    ------
-    RankDeficient, NotConverged
-    """
-    start, singular_values = balance_modes(modes, a)
-    fit = _at_spread(modes, a, np.inf, start, singular_values)
-    if not population:
-        return fit
-    spread = likeliest_spread(smooth_patterns(a), fit.alpha, fit.covariance)
-    fit = _at_spread(modes, a, spread, start, singular_values)
-    return replace(fit, method=f"ml, population {spread:.2g}")
-
-
-def _at_spread(
-    modes: Array, a: Array, spread: float, start: Array, singular_values: Array
-) -> ElasticFit:
-    n, freedom = a.shape[1], 3 * len(modes) - a.shape[1] + 1
-    s, smooth = (a * start**2) @ a.T, smooth_patterns(a)
-    if np.linalg.cond(s) > MAX_CONDITION:
-        raise RankDeficient(
-            "the alpha that balances STIFFNESS is that of a few actuators alone",
-            remedy="look for rows that are not like the others",
-        )
-    white = np.linalg.inv(np.linalg.cholesky(s)) @ a
-    rows = balance_rows(modes, white) @ start
-    least = 1e-18 / n  # rounding of a mode's element
-    variance, values = max(float(rows @ rows) / freedom, least), start
-    for _ in range(20):
-        # Elastic forces leave the scale free, so nothing but this holds the mean at 1.
-        scale = float(np.sum(singular_values**2)) / variance
-        prior = Prior(np.ones(n), np.full((n, n), scale / n))
-        prior = with_population(prior, smooth, values, spread)
-        minimum = minimise(a, [mode_data(modes, variance)], prior, values)
-        size, values = minimum.chi2 / freedom, minimum.values / minimum.values.mean()
-        if abs(size - 1.0) < 1e-6 or variance * size < least:
-            break
-        variance *= size
-    s = (a * values**2) @ a.T
-    pulled = pull(on_logarithms(smooth, spread), values)[1] * variance
-    covariance = mode_covariance(modes, a, values, s, pulled)
-    if np.isfinite(spread):
-        covariance = covariance + _shrinkage(modes, a, s, pulled) * variance
-    return ElasticFit("ml", values, covariance, singular_values, variance)
-
-
-def _shrinkage(modes: Array, a: Array, s: Array, pulled: Array) -> Array:
-    """Return the (n, n) covariance of what a population's pull takes from alpha, over variance."""
-    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a)
-    information = rows.T @ rows + pulled
-    information += np.trace(information) / len(pulled) ** 2
-    inverse = np.linalg.inv(information)
-    return np.asarray(inverse @ pulled @ inverse)

@@ -1,11 +1,10 @@
-"""Whether a stiffness matrix is one, lies the right way round, and in the order of its places.
+"""Whether an array is a stiffness matrix, its orientation, and the order of its coordinates.
 
-A free shell costs no force where it is moved rigidly (`facts`). With coordinates of other actuators
-it is bent. Which way round it lies is judged by medians over
-actuators: a few bad ones say nothing of the rest.
+A rigid motion costs a free shell no force (`facts`). With the coordinates of other actuators it is
+bent. The orientation is judged by medians over actuators, which a few bad ones do not change.
 
-Forces that balance as commanded, to the rounding of the file, are no measured ones: rigid motions
-were projected out of them, which puts the alpha of each column into all rows, or alpha was 1.
+Forces that balance as commanded, to the rounding of the file, were not measured: either rigid
+motions were projected out, which mixes the alpha of each column into all rows, or alpha was 1.
 """
 
 from __future__ import annotations
@@ -20,37 +19,31 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.couplings import (
+    MIN_JUDGED_ACTUATORS,
     NEAR_SPACINGS,
     relative_couplings,
     typical_spacing,
 )
-from truenewton.estimation.matrix.facts import MAX_SENSOR_COST, MatrixFacts
+from truenewton.estimation.matrix.facts import (
+    MAX_SENSOR_COST,
+    MIN_MEASURED_DEVIATION,
+    MatrixFacts,
+)
 from truenewton.linalg import assignment
 from truenewton.statics.layout import Layout
 
-MIN_JUDGED_ACTUATORS = 20  # actuators among which one can be told not to fit
 # Gains or alpha that scatter by 10 % cost 0.08, neighbours exchanged on 45 actuators 0.09; random
 # places 0.9, those sorted by radius 0.4.
 MAX_RIGID_COST = 0.12
-SUSPECT_RIGID_COST = 0.005  # cost from which other orders are tried
-MIN_COST_RATIO = 3.0  # times less it costs in the right one
-RADIUS_TOLERANCE = 1e-3  # of the largest: actuators of one ring
-MIN_EXPLAINED_COUPLING = 0.65  # of the couplings, explained by distance
-# |K - K'| / |K + K'|: no measured stiffness is so, but for rounding.
-MAX_SYMMETRISED_ASYMMETRY = 1e-6
-# Of the own stiffness: columns out of balance, beyond what sensors and alpha leave both.
+MIN_COST_RATIO = 3.0  # cost in this order relative to that in the right one
+MIN_EXPLAINED_COUPLING = 0.65  # part of the couplings that distance explains
+# Imbalance of columns relative to the diagonal, more than sensors and alpha leave in both.
 MIN_MEASURED_IMBALANCE = 0.02
-SAME_NUMBER_TOLERANCE = 1e-9  # of an own element, to be the same number as others
-MAX_SOFTEST_COST = 1.5  # cost of rigid motions in terms of any, where a stiffness has next to none
+MAX_SOFTEST_COST = 1.5  # cost of rigid motions relative to any motion; that of a stiffness is small
 
 
 def refuse_no_stiffness(k: Array) -> None:
-    """Refuse an (n, n) array that is no stiffness as it was measured, whatever its unit.
-
-    Raises
-    ------
-    RankDeficient
-    """
+    """Raise RankDeficient for an (n, n) array that is not a measured stiffness."""
     own = np.diag(k)
     below, above = np.tril(k, -1).any(), np.triu(k, 1).any()
     if len(k) > 1 and k.any() and not (below and above):
@@ -64,7 +57,7 @@ def refuse_no_stiffness(k: Array) -> None:
     if len(k) < MIN_JUDGED_ACTUATORS:
         return
     typical = float(np.median(own))
-    same = np.count_nonzero(np.abs(own - typical) < SAME_NUMBER_TOLERANCE * abs(typical))
+    same = np.count_nonzero(np.abs(own - typical) < 1e-9 * abs(typical))
     if 2 * same > len(k):
         raise RankDeficient(
             f"{same} of {len(k)} own elements of STIFFNESS are the same number, {typical:.3g}: rows"
@@ -75,12 +68,7 @@ def refuse_no_stiffness(k: Array) -> None:
 
 
 def refuse_compliance(facts: MatrixFacts, layout: Layout) -> None:
-    """Refuse a matrix in which rigid motions count most: the softest are the largest.
-
-    Raises
-    ------
-    RankDeficient
-    """
+    """Raise RankDeficient for a matrix whose largest part is rigid motions."""
     on = layout.enabled
     cost = rigid_cost(facts.squares, layout.x[on], layout.y[on])
     if cost > MAX_SOFTEST_COST:
@@ -93,12 +81,11 @@ def refuse_compliance(facts: MatrixFacts, layout: Layout) -> None:
 
 
 def row_order(k: Array) -> NDArray[np.int64]:
-    """Return (n,) the row that belongs to each column of an (n, n) stiffness.
+    """Return the row that belongs to each column of an (n, n) stiffness.
 
-    Of a positive matrix the product of all diagonal elements is the largest of any order of rows,
-    as |k_ij|^2 < k_ii k_jj; factors of rows and columns change all these products alike. Wrong
-    elements may exceed that bound: rows stay where they are unless they are more like the columns
-    where they would go.
+    In a positive matrix the diagonal has the largest product of any order of rows, as |k_ij|^2 <
+    k_ii k_jj. Factors of rows and columns change all these products alike. Wrong elements may
+    exceed that bound, so rows stay unless they resemble the columns at their new position more.
     """
     size = np.abs(k)
     least = 1e-12 * float(size.max())
@@ -120,7 +107,7 @@ def row_order(k: Array) -> NDArray[np.int64]:
 def _likeness(
     k: Array, order: NDArray[np.int64], at: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> float:
-    """Return how like columns are the rows taken for them, by the elements with all others."""
+    """Return how similar rows and the columns taken for them are, by the other elements."""
     others = np.delete(np.arange(len(k)), at)
     r, c = k[np.ix_(rows, others)], k[np.ix_(order[others], at)].T
     sizes = np.linalg.norm(r, axis=1) * np.linalg.norm(c, axis=1)
@@ -128,14 +115,9 @@ def _likeness(
 
 
 def order_effects(facts: MatrixFacts, layout: Layout, *, named: bool) -> Iterator[Finding]:
-    """Say that the coordinates are not those of the matrix's actuators, or forces are missing.
+    """Yield that the coordinates are in another order than the matrix, or that forces are missing.
 
-    Parameters
-    ----------
-    facts, layout
-        Of a measured matrix.
-    named
-        Only where another order is told, which a few bad actuators cannot feign.
+    ``named``: only if the true order is identified, which a few bad actuators cannot simulate.
     """
     x, y, on = layout.x, layout.y, layout.enabled
 
@@ -143,7 +125,7 @@ def order_effects(facts: MatrixFacts, layout: Layout, *, named: bool) -> Iterato
         return rigid_cost(facts.squares, x[order][on], y[order][on])
 
     size = cost(np.arange(layout.n))
-    if size < SUSPECT_RIGID_COST:
+    if size < 0.005:  # as low as in the right order
         return
     orders = ((cost(order), name) for name, order in other_orders(x, y))
     least, name = min(orders, default=(np.inf, ""))
@@ -170,8 +152,8 @@ def order_effects(facts: MatrixFacts, layout: Layout, *, named: bool) -> Iterato
 
 
 def balance_effects(facts: MatrixFacts) -> Iterator[Finding]:
-    """Say that forces balance as commanded, so that nothing tells alpha."""
-    symmetric = facts.asymmetry < MAX_SYMMETRISED_ASYMMETRY
+    """Yield that forces balance as commanded, so that alpha cannot be estimated."""
+    symmetric = facts.asymmetry < MIN_MEASURED_DEVIATION
     true = symmetric and facts.imbalance < MIN_MEASURED_IMBALANCE
     if true or facts.balances_by_rounding:
         yield Finding(
@@ -183,10 +165,10 @@ def balance_effects(facts: MatrixFacts) -> Iterator[Finding]:
 
 
 def orientation_effects(facts: MatrixFacts) -> Iterator[Finding]:
-    """Say that a matrix is transposed, or was made symmetric: alpha is then that of sensors."""
+    """Yield that a matrix is transposed, or was made symmetric: then alpha is that of sensors."""
     if (
         len(facts.stiffness) >= MIN_JUDGED_ACTUATORS
-        and facts.asymmetry < MAX_SYMMETRISED_ASYMMETRY
+        and facts.asymmetry < MIN_MEASURED_DEVIATION
         and facts.imbalance > MIN_MEASURED_IMBALANCE
     ):
         yield Finding(
@@ -206,14 +188,17 @@ def orientation_effects(facts: MatrixFacts) -> Iterator[Finding]:
 
 
 def rigid_cost(squares: tuple[Array, Array], x: Array, y: Array) -> float:
-    """Return what rigid motions cost in terms of any; the less by (n, n) K'K and KK', at (n,)."""
+    """Return the cost of rigid motions relative to any motion, by (n, n) K'K or KK'.
+
+    The smaller of the two, with actuators at (n,) x and y.
+    """
     rigid = np.linalg.qr(np.stack([np.ones(len(x)), x, y], axis=1))[0]
     least = min(float(np.sum(rigid * (square @ rigid))) for square in squares)
     return float(np.sqrt(max(least, 0.0) / (3.0 / len(x) * np.trace(squares[0]))))
 
 
 def other_orders(x: Array, y: Array) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """Yield orders that people come to, and (n,) the coordinates that belong to each row."""
+    """Yield common wrong orders, and the (n,) coordinates that belong to each row."""
     n = len(x)
     every = np.arange(n)
     yield "reversed", every[::-1]
@@ -224,7 +209,7 @@ def other_orders(x: Array, y: Array) -> Iterator[tuple[str, NDArray[np.int64]]]:
         if n % rows == 0:
             yield f"a table of {rows} rows, transposed", every.reshape(rows, -1).T.ravel()
     radius = np.hypot(x, y)
-    jumps = np.abs(np.diff(radius)) > RADIUS_TOLERANCE * radius.max(initial=0.0)
+    jumps = np.abs(np.diff(radius)) > 1e-3 * radius.max(initial=0.0)
     rings = np.split(every, np.flatnonzero(jumps) + 1)
     if 1 < len(rings) < n // 2:
         yield "rings the other way round", np.concatenate([ring[::-1] for ring in rings])
@@ -237,15 +222,11 @@ def other_orders(x: Array, y: Array) -> Iterator[tuple[str, NDArray[np.int64]]]:
 
 
 def share_by_distance(k: Array, a: Array) -> float:
-    """Return which part of the couplings is what their distance lets expect, 1 for all.
+    """Return the part of the couplings that distance explains, 1 for all.
 
-    Neighbours are coupled most, and in one glass alike; positions in another order than rows and
-    columns leave nothing of that. For fewer than four actuators NaN.
-
-    Parameters
-    ----------
-    k, a
-        (n, n) stiffness [N/m] and (3, n) arms in comparable units.
+    The couplings are those of an (n, n) stiffness with (3, n) arms. Neighbours are coupled most,
+    and equally in one shell. Positions in another order explain nothing. NaN for fewer than four
+    actuators.
     """
     if len(k) < 4:
         return float("nan")

@@ -1,4 +1,4 @@
-"""A stiffness matrix with what does not fit left out, as campaigns are screened of rows."""
+"""A stiffness matrix without the actuators that do not fit."""
 
 from __future__ import annotations
 
@@ -12,12 +12,19 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.finding import MAX_NAMES, Finding
-from truenewton.estimation.matrix.couplings import ELSEWHERE, pair_ratios, typical_spacing
+from truenewton.estimation.matrix.couplings import (
+    ELSEWHERE,
+    MIN_JUDGED_ACTUATORS,
+    pair_ratios,
+    typical_spacing,
+)
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.misfits import (
+    MIN_IMBALANCE_RATIO,
     NO_FORCE,
     NO_SENSOR,
     ROW_UNLIKE_COLUMN,
+    UNKNOWN_FORCE,
     BadActuator,
     FitsNoSymmetry,
     bad_actuators,
@@ -26,7 +33,6 @@ from truenewton.estimation.matrix.misfits import (
     residual_force,
 )
 from truenewton.estimation.matrix.order import (
-    MIN_JUDGED_ACTUATORS,
     balance_effects,
     order_effects,
     orientation_effects,
@@ -38,50 +44,32 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import enabled_arms
 
-MIN_MANY_MISFITS = 3
-MIN_SEEN_COUPLING = 0.3  # of the own stiffness, in any column: so none tells what it was
-BALANCED_RATIO = 5.0  # times what is typical: columns about an actuator that was off
-
 
 @dataclass(frozen=True, eq=False)
 class ScreenedMatrix:
-    """What fits of a matrix.
+    """The part of a matrix that fits."""
 
-    Attributes
-    ----------
-    matrix, facts
-        Those left out are disabled; the others as they are where these push nothing. Its facts.
-    start
-        (n_enabled,) alpha from symmetry, as if all sensors had one gain.
-    disturbance
-        (n_enabled, 3, 3) covariance of what those left out may add to the balance of each column,
-        torques in comparable units [N^2/m^2].
-    warnings, effects
-        Which were left out, and why.
-    unsure
-        Why all actuators are kept although some do not fit, if that is so.
-    pushing
-        Columns around one that is zero do not balance, as if it had pushed.
-    """
-
+    # actuators left out are disabled; the others as they are if these exert no force
     matrix: StiffnessMatrix
-    facts: MatrixFacts
-    start: Array
+    facts: MatrixFacts  # of this matrix
+    start: Array  # (n_enabled,) alpha from symmetry, as if all sensors had one gain
+    # (n_enabled, 3, 3) covariance of what those left out may add to the balance of each column,
+    # torques in comparable units [N^2/m^2]
     disturbance: Array
     warnings: tuple[Finding, ...] = ()
-    effects: tuple[Finding, ...] = ()
-    unsure: tuple[Finding, ...] = ()
-    pushing: bool = False
+    effects: tuple[Finding, ...] = ()  # which were left out, and why
+    unsure: tuple[Finding, ...] = ()  # why all actuators are kept although some do not fit
+    pushing: bool = False  # columns around an empty one do not balance
 
 
 def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
-    """Find the actuators that are off or do not fit, and leave them out.
+    """Return a matrix without the actuators that are off or do not fit.
 
     Raises
     ------
     RankDeficient
-        Rows are in another order or of another sign, more than one pushes unseen, or none feels
-        another.
+        Rows are in another order or of another sign, several actuators exert unmeasured forces,
+        or none is coupled to another.
     """
     refuse_segments(matrix)
     matrix = released(matrix)
@@ -131,7 +119,7 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
                 remedy="measure the stiffness with them switched off, or their rows and columns",
                 got=int(np.count_nonzero(off)),
             )
-        doubt[off] = MIN_SEEN_COUPLING
+        doubt[off] = UNKNOWN_FORCE
     disturbance = np.zeros((len(core), 3, 3))
     if doubt.any():
         disturbance = residual_force(k, a, good, doubt)
@@ -152,9 +140,9 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
 
 
 def released(matrix: StiffnessMatrix) -> StiffnessMatrix:
-    """Return a matrix in states in which disabled actuators that pushed push nothing.
+    """Return a matrix in states in which disabled actuators exert no force.
 
-    The row and the column of an actuator that was off are zero: it is left out as it is.
+    An actuator that was off has an empty row and column, and is left out as it is.
     """
     on = matrix.layout.enabled
     k = np.asarray(matrix.stiffness)
@@ -174,10 +162,9 @@ def _mended(
     length: float,
     facts: MatrixFacts | None,
 ) -> tuple[tuple[BadActuator, ...], Array]:
-    """Return the actuators that do not fit, by their index among all, and (n, n) k mended.
+    """Return the actuators that do not fit, by their index among all, and the corrected (n, n) k.
 
-    How far one is from its place is in metres, by the ``length`` of a unit of the arms. Facts of k
-    are made where there are none.
+    The distance of one from its position is in metres, by the ``length`` of a unit of the arms.
     """
     measured = np.flatnonzero(~off)
     block = np.ix_(measured, measured)
@@ -203,14 +190,8 @@ def _mended(
 def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> StiffnessMatrix:
     """Return the matrix with enabled actuators that are not good disabled.
 
-    Parameters
-    ----------
-    matrix
-        Measured.
-    good
-        (n_enabled,) which stay.
-    core
-        (n_good, n_good) their stiffness in states in which the others push nothing [N/m].
+    ``good`` marks the (n_enabled,) that stay, ``core`` is their (n_good, n_good) stiffness in
+    states in which the others exert no force [N/m].
     """
     on = matrix.layout.enabled
     left = on.copy()
@@ -221,7 +202,7 @@ def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> Stif
 
 
 def as_calibrated(matrix: StiffnessMatrix, effects: Sequence[Finding]) -> StiffnessMatrix:
-    """Return the matrix with those actuators freed that a calibration's effects say it left out."""
+    """Return the matrix without the actuators that a calibration left out, by its effects."""
     matrix = released(matrix)
     left_out = {Code.ACTUATOR_OFF, Code.ACTUATOR_MISFIT}
     out = [i for each in effects if each.code in left_out for i in each.actuators]
@@ -239,9 +220,9 @@ def _better_as_read(
     bad: Sequence[BadActuator],
     unlike: Sequence[int],
 ) -> bool:
-    """Tell whether the columns balance better with those freed by their rows than by their columns.
+    """Return whether the columns balance better if actuators are freed by rows than by columns.
 
-    Freed by its row, an actuator may have a sensor that reads any nonsense; by its column, a row.
+    If freed by its row, the sensor of an actuator may read anything; if by its column, the row.
     """
     good = measured.copy()
     good[[each.index for each in bad]] = False
@@ -259,7 +240,7 @@ def _better_as_read(
 def _balanced_about(
     core: Array, a: Array, good: NDArray[np.bool_], off: NDArray[np.bool_], start: Array
 ) -> bool:
-    """Tell whether columns next to those that are off balance as well as the others do."""
+    """Return whether columns next to those that are off balance as well as the others."""
     arms = a[:, good]
     own = np.abs(np.diag(core))
     size = np.linalg.norm((arms * start) @ core, axis=0) / np.where(own > 0.0, own, np.inf)
@@ -267,16 +248,16 @@ def _balanced_about(
     near = (distance < 2.0 * typical_spacing(a)).any(axis=1)
     if not near.any() or near.all():
         return True
-    return bool(np.median(size[near]) < BALANCED_RATIO * np.median(size[~near]))
+    return bool(np.median(size[near]) < MIN_IMBALANCE_RATIO * np.median(size[~near]))
 
 
 def _warnings(
     ids: NDArray[np.int64], off: NDArray[np.bool_], bad: Sequence[BadActuator], *, pushing: bool
 ) -> Iterator[Finding]:
-    """Yield that some were off and pushed all the same, or that many do not fit."""
+    """Yield that some were off and yet exerted force, or that many do not fit."""
     if pushing:
         yield Finding.of(Code.OFF_BUT_PUSHING, actuators=ids[off])
-    if len(bad) > max(MIN_MANY_MISFITS, LIMITS.misfit_fraction * len(ids)):
+    if len(bad) > max(3, LIMITS.misfit_fraction * len(ids)):
         names = [ids[each.index] for each in bad]
         yield Finding.of(Code.MANY_MISFITS, count=len(bad), n=len(ids), actuators=names)
 
@@ -284,7 +265,7 @@ def _warnings(
 def _effects(
     ids: NDArray[np.int64], off: NDArray[np.bool_], bad: Sequence[BadActuator]
 ) -> Iterator[Finding]:
-    """Yield which actuators were left out: one finding for each reason, with how far it goes."""
+    """Yield which actuators were left out: one finding for each reason, with its largest size."""
     for reason in dict.fromkeys(each.reason for each in bad):
         some = [each for each in bad if each.reason == reason]
         names = [int(ids[each.index]) for each in some]

@@ -13,10 +13,10 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Estimate
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.matrix.facts import ElasticModes, MatrixFacts
+from truenewton.estimation.matrix.facts import MIN_MEASURED_DEVIATION, ElasticModes, MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.modes import EVEN_MODES, ODD_MODES, Imbalance, imbalances_of
-from truenewton.estimation.matrix.order import MAX_SYMMETRISED_ASYMMETRY, balance_effects
+from truenewton.estimation.matrix.order import balance_effects
 from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.estimation.reciprocity.acceptance import (
     Evidence,
@@ -307,7 +307,7 @@ def fit_matrix(
     layout, facts = screened.matrix.layout, screened.facts
     for effect in balance_effects(facts):
         raise RankDeficient(effect.name, remedy=effect.remedy)
-    if facts.asymmetry < MAX_SYMMETRISED_ASYMMETRY:
+    if facts.asymmetry < MIN_MEASURED_DEVIATION:
         raise RankDeficient(
             "STIFFNESS is symmetric as commanded, so reciprocity gives alpha = 1 whatever it is",
             remedy="use the matrix as it was measured",
