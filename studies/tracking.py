@@ -113,9 +113,9 @@ def law(pattern: tn.Calibration, seeds: int, gap: float, words: str) -> None:
     for seed in range(seeds):
         world = World(pattern, seed, gap)
         found = tn.track(*world.days)
-        family = found.families[0]
-        mean.append(family.mean_interval[0] <= MEAN_K <= family.mean_interval[1])
-        spread.append(family.spread_interval[0] <= SPREAD_K <= family.spread_interval[1])
+        population = found.populations[0]
+        mean.append(population.mean_interval[0] <= MEAN_K <= population.mean_interval[1])
+        spread.append(population.spread_interval[0] <= SPREAD_K <= population.spread_interval[1])
         squares.append(np.mean((found.coefficient - world.k) ** 2))
         told.append(np.mean(found.errors[1] ** 2))
         at = [(10.0, found.days[-1].date), (18.0, found.date), (27.0, found.days[0].date)]
@@ -142,7 +142,7 @@ def rate(hits: list[bool]) -> str:
 
 
 def alarms(pattern: tn.Calibration, mirrors: int) -> None:
-    """Print how often anyone is said to leave a family that nobody left."""
+    """Print how often anyone is said to leave a population that nobody left."""
     false = [bool(tn.track(*World(pattern, 10_000 + s).days).outliers) for s in range(mirrors)]
     print(f"nobody left, {mirrors} mirrors\n  any false alarm (stated 1 %)        {rate(false)}")
 
@@ -175,7 +175,7 @@ def scatter(pattern: tn.Calibration, noise: float, seeds: int, own: float, commo
         days = scattered(world, seed, own, common)
         found = tn.track(*days)
         false.append(bool(found.outliers))
-        low, high = found.families[0].mean_interval
+        low, high = found.populations[0].mean_interval
         mean.append(low <= MEAN_K <= high)
         ofk.append(np.mean(np.abs(found.coefficient - world.k) <= TWO_SIGMA * found.errors[1]))
         off.append(np.mean((found.coefficient - world.k) ** 2))
@@ -189,7 +189,9 @@ def scatter(pattern: tn.Calibration, noise: float, seeds: int, own: float, commo
             missed = np.abs(at.alpha / (1 + world.scale) - truth)
             inside.append(np.mean(missed <= TWO_SIGMA * error))
         if not own and not common:
-            with mock.patch.object(fit, "scatter_of", lambda y, *_, **__: Scatter(degrees=len(y))):
+            with mock.patch.object(
+                fit, "estimate_scatter", lambda y, *_, **__: Scatter(degrees=len(y))
+            ):
                 known = tn.track(*days)
             ratio.append(np.median(found.errors[1] / known.errors[1]))
         stepped = np.where(np.arange(n) == REPLACED, 1 + STEP, 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from truenewton.cli.terminal import print_result, table_lines
-from truenewton.rounding import by_chance, percent, significant, to_digits, with_error
+from truenewton.rounding import chance_text, percent, significant, to_digits, with_error
 
 
 @pytest.mark.parametrize(
@@ -67,5 +67,5 @@ def test_a_table_is_aligned_in_columns():
 
 
 def test_chance_is_told_in_words():
-    assert by_chance(0.0034) == "by chance on 0.003 of such mirrors"
-    assert by_chance(0.0) == "by chance on fewer than 1e-12 of such mirrors"
+    assert chance_text(0.0034) == "chance probability 0.003"
+    assert chance_text(0.0) == "chance probability below 1e-12"

@@ -1,4 +1,4 @@
-"""Arrays as records keep them: plain and read-only; spread over actuators."""
+"""Arrays of records: read-only, as JSON, and of the enabled actuators in the order of all."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 
 def jsonable(value: Any) -> Any:
-    """Return what JSON can hold, which knows no NaN; of a record the fields that its repr shows.
+    """Return values for JSON, which has no NaN; of a record the fields that its repr shows.
 
-    A record may say otherwise by a property ``as_values``.
+    A record may define other values by a property ``as_values``.
     """
     if hasattr(value, "as_values"):
         return jsonable(value.as_values)
@@ -39,9 +39,9 @@ def jsonable(value: Any) -> Any:
 
 
 def freeze(record: object, *names: str, dtype: Any = np.float64) -> None:
-    """Make arrays of a frozen dataclass, while it is made, read-only, contiguous and of one type.
+    """Make arrays of a new frozen dataclass read-only, contiguous and of one type.
 
-    They are copied, but for those that are that already.
+    They are copied unless they are that already.
 
     Raises
     ------

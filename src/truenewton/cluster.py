@@ -1,7 +1,6 @@
-"""Pure tasks, done here one after the other, or by the workers of a dask cluster.
+"""Pure tasks, run here one after the other, or by the workers of a dask cluster.
 
-One whose worker dies is done again by another, with the same result; what it refuses, it refuses
-as it would here.
+If a worker dies, another repeats its task with the same result. Errors of tasks are raised here.
 """
 
 from __future__ import annotations
@@ -25,24 +24,24 @@ PATIENCE = "10s"  # for a scheduler to answer
 
 
 class Client(Protocol):
-    """What is asked of a `dask.distributed.Client`."""
+    """The methods of a `dask.distributed.Client` that are used."""
 
     def map(self, func: Callable[..., Any], *iterables: Any, pure: bool = ...) -> Any:
-        """Do something with each item; return futures."""
+        """Apply a function to each item; return futures."""
 
     def submit(self, func: Callable[..., Any], *args: Any, pure: bool = ...) -> Any:
-        """Do one thing; return a future."""
+        """Call a function; return a future."""
 
 
 def each(
     function: Callable[[Item], Own], items: Iterable[Item], client: Client | None = None
 ) -> Iterator[Own]:
-    """Yield what a function returns for each item, in order.
+    """Yield the result of a function for each item, in order.
 
     Raises
     ------
     ClusterFailed
-        The workers cannot do it; what the function raises comes through, the first in order.
+        The workers cannot do it. What the function raises is raised, the first in order.
     """
     if client is None:
         yield from map(function, items)
@@ -59,16 +58,16 @@ def divided(
     add: Callable[[Shared, Shared], Shared],
     client: Client | None = None,
 ) -> Shared:
-    """Do something with each of some items; of the pairs that come back, add up the second ones.
+    """Return the sum of the second results of a function, and pass each first result to ``take``.
 
     Parameters
     ----------
     function
-        Of an item to what is its own, and what is shared.
+        Returns two results for an item.
     take
-        Is given each one's own, in order.
+        Gets each first result, in order.
     add
-        Two shared ones; on workers as a tree, so that none of them travels far.
+        Adds two second results; on workers as a tree, so that few results are transferred.
 
     Raises
     ------
@@ -100,7 +99,7 @@ def _added(add: Callable[[Shared, Shared], Shared], parts: list[Shared]) -> Shar
 
 
 def _result(future: Any) -> Any:
-    """Return what a worker has found; what is wrong with the cluster itself becomes one line."""
+    """Return the result of a future; a failure of the cluster becomes `ClusterFailed`."""
     try:
         return future.result()
     except TrueNewtonError:
@@ -117,12 +116,12 @@ def _result(future: Any) -> Any:
 
 @contextmanager
 def connected(address: str | None) -> Iterator[Client | None]:
-    """Connect to the scheduler at an address, as tcp://host:8786; to none without one.
+    """Connect to the scheduler at an address like tcp://host:8786; None without an address.
 
     Raises
     ------
     ClusterFailed
-        No scheduler answers, or dask is missing here.
+        No scheduler answers, or dask is not installed.
     """
     if address is None:
         yield None

@@ -1,4 +1,4 @@
-"""Decompositions and least squares, on LAPACK and BLAS."""
+"""Decompositions and least squares, by LAPACK and BLAS."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_STEPS = 60  # beyond, a full decomposition is as fast
 
 @functools.cache
 def thread_count() -> int:
-    """Return how many threads BLAS may use, by the number of cores and the environment."""
+    """Return the number of threads of BLAS by default, from the cores and the environment."""
     import threadpoolctl  # not at each start
 
     pools = threadpoolctl.threadpool_info()  # none where BLAS is of a kind that it does not know
@@ -37,7 +37,7 @@ def thread_count() -> int:
 
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Let BLAS use so many threads. Small products cost more in several than in one."""
+    """Limit BLAS to some threads: small products are slower in several than in one."""
     import threadpoolctl
 
     thread_count()  # what it was before
@@ -46,11 +46,11 @@ def threads(count: int) -> Iterator[None]:
 
 
 def assignment(cost: NDArray[Any]) -> NDArray[np.int64]:
-    """Return (n,) the column that each row of (n, m) costs gets, n <= m, for the least in all."""
+    """Return (n,) different columns for the rows of (n, m) costs, n <= m, with least total cost."""
     least = np.argmin(cost, axis=1)
-    if np.unique(least).size == len(least):  # each gets what costs it least: as a rule
+    if np.unique(least).size == len(least):  # usually
         return np.asarray(least, dtype=np.int64)
-    import scipy.optimize  # a fifth of a second that the rule need not wait for
+    import scipy.optimize  # takes a fifth of a second
 
     return np.asarray(scipy.optimize.linear_sum_assignment(cost)[1], dtype=np.int64)
 
@@ -58,8 +58,7 @@ def assignment(cost: NDArray[Any]) -> NDArray[np.int64]:
 def singular_values_and_vectors(matrix: NDArray[np.floating[Any]]) -> tuple[Array, Array, Array]:
     """Return (m, k) U, (k,) s descending, and (k, n) V' of an (m, n) matrix, k the smaller.
 
-    LAPACK's fast driver (gesdd) fails to converge on a rare matrix; the plain one (gesvd) then
-    does.
+    If LAPACK's fast driver (gesdd) does not converge, which is rare, the plain one (gesvd) does.
     """
     try:
         return scipy.linalg.svd(matrix, full_matrices=False)
@@ -72,19 +71,19 @@ def smallest_eigenvalue(
     n: int,
     nearly_solved: Callable[[Array], Array] = lambda residual: residual,
 ) -> tuple[float, Array]:
-    """Return the smallest eigenvalue of a symmetric matrix and its vector, found step by step.
+    """Return the smallest eigenvalue of a symmetric (n, n) matrix, to 1e-3, and its vector.
 
-    What the best vector so far leaves over, nearly solved for, widens the space in which the next
-    is sought (Davidson, J. Comput. Phys. 17, 87, 1975; without a solution nearby, Lanczos). Some
-    eigenvalue is no further away than the remainder is long, at the end a thousandth of it; its
-    square counts for the smallest. A full decomposition costs more than all of a calibration.
+    Davidson's method (J. Comput. Phys. 17, 87, 1975; without an approximate inverse, Lanczos): the
+    residual of the best vector, times about the inverse, extends the space that is searched. It
+    stops when the residual is below 1e-3 of the eigenvalue; the error is its square for the
+    smallest eigenvalue. A full decomposition would cost more than a calibration.
 
     Parameters
     ----------
     times, n
         Multiplies (n,) vectors, or the columns of a matrix, by the matrix; its order.
     nearly_solved
-        Multiplies (n,) vectors by about the inverse, whatever its scale.
+        Multiplies (n,) vectors by about the inverse, up to a factor.
     """
     most = min(n, MOST_STEPS)
     basis, images = np.empty((most, n)), np.empty((most, n))
@@ -105,7 +104,7 @@ def smallest_eigenvalue(
 
 
 def largest_eigenvalue(matrix: Array) -> tuple[float, Array]:
-    """Return the largest eigenvalue of an (n, n) symmetric matrix and its vector, step by step."""
+    """Return the largest eigenvalue of an (n, n) symmetric matrix, to 1e-3, and its vector."""
     value, vector = smallest_eigenvalue(lambda x: -(matrix @ x), len(matrix))
     return -value, vector
 
@@ -118,7 +117,7 @@ def asymmetry(matrix: Array) -> float:
 def mirrored(upper: Array) -> Array:
     """Copy the upper triangle of an (n, n) matrix into the lower one, in place; return the matrix.
 
-    By blocks, since a transposed copy of the whole would miss the cache at every element.
+    By blocks: a transposed copy of the whole would miss the cache at every element.
     """
     for start in range(0, len(upper), ROWS_AT_ONCE):
         end = start + ROWS_AT_ONCE
@@ -163,25 +162,25 @@ def rearranged(matrix: Array, columns: NDArray[np.int64]) -> Array:
 def eigenvectors(symmetric: Array) -> tuple[Array, Array]:
     """Return (n,) ascending eigenvalues and (n, n) eigenvectors, as columns, of a symmetric matrix.
 
-    Two matrices of n x n are all it takes: the vectors, and ``symmetric``, which is overwritten
-    (LAPACK's dsyevr; dsyevd, which NumPy calls, takes three, and a copy).
+    It needs memory for one more matrix, and overwrites ``symmetric`` (LAPACK's dsyevr; NumPy's
+    dsyevd needs three, and a copy).
     """
     values, vectors = scipy.linalg.eigh(symmetric.T, driver="evr", overwrite_a=True)
     return values, transposed(vectors.T)  # as LAPACK stores them, each is a row in memory
 
 
 def factor_of(matrix: Array) -> Array:
-    """Return (n, m) F with F F' an (n, n) positive semi-definite matrix, rounding left out."""
+    """Return (n, m) F with F F' an (n, n) positive semi-definite matrix, without its rounding."""
     values, vectors = scipy.linalg.eigh(matrix)
     real = values > ROUNDING * max(values[-1], 1e-300)
     return np.asarray(vectors[:, real] * np.sqrt(values[real]))
 
 
 def covariance_fault(matrix: Array, unit: Array | None = None) -> str:
-    """Return what keeps an (n, n) matrix from being a covariance, in words; '' if nothing does.
+    """Return why an (n, n) matrix is no covariance; '' if it is one.
 
-    Rows and columns of what is not known are NaN. Rounding is allowed for in terms of the (n,)
-    variances ``unit``, the diagonal unless given.
+    Rows and columns of unknowns are NaN. Rounding is relative to the (n,) variances ``unit``, by
+    default the diagonal.
     """
     unit = np.diag(matrix) if unit is None else unit
     known = ~np.isnan(unit)
@@ -204,12 +203,10 @@ def covariance_fault(matrix: Array, unit: Array | None = None) -> str:
 
 
 def inverse_of_positive(matrix: Array, *, overwrite: bool = False) -> Array:
-    """Return the inverse of an (n, n) symmetric positive definite matrix, whatever its units.
+    """Return the inverse of an (n, n) symmetric positive definite matrix, in its precision.
 
-    In the precision of the matrix, and in its place if that may be overwritten.
-
-    Each row is taken in terms of the root of its diagonal first (van der Sluis, Numer. Math. 14,
-    14, 1969: no other scale does much better).
+    With ``overwrite`` in its place. Rows and columns are scaled to a unit diagonal first, so that
+    units do not matter (van der Sluis, Numer. Math. 14, 14, 1969: no other scale does much better).
 
     Raises
     ------
@@ -233,14 +230,14 @@ def inverse_of_positive(matrix: Array, *, overwrite: bool = False) -> Array:
 
 
 def inverse_of_factor(factor: Array) -> Array:
-    """Return the inverse of (n, n) L L', in place of L if that is in the order of Fortran."""
+    """Return the inverse of (n, n) L L', in place of L if that is in Fortran order."""
     potri = spotri if factor.dtype == np.float32 else dpotri
     return mirrored(potri(factor, lower=True, overwrite_c=True)[0].T)
 
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """Least squares of whitened equations: each right-hand side has variance 1.
+    """Solution of least squares with right-hand sides of variance 1.
 
     Attributes
     ----------
@@ -248,7 +245,7 @@ class LeastSquares:
         (p,) the solution.
     root
         (p, p) upper triangular; covariance = root root'. Its leading (q, q) block is the root of
-        the covariance of the first q unknowns where the others are known.
+        the covariance of the first q unknowns if the others are known.
     residual
         (m,) right-hand side less matrix times values.
     orthogonal
@@ -267,15 +264,10 @@ class LeastSquares:
 
 
 def least_squares(matrix: Array, right: Array) -> LeastSquares:
-    """Minimise the length of right - matrix @ values.
+    """Minimise the length of right - matrix @ values, of (m, p) and (m,), m >= p.
 
-    Householder's QR of the columns at unit length: squares of the condition, as in the normal
-    equations, never arise (Golub and Van Loan, Matrix Computations, section 5.3).
-
-    Parameters
-    ----------
-    matrix, right
-        (m, p) and (m,), m >= p.
+    Householder's QR of the columns at unit length: the condition is not squared as in the normal
+    equations (Golub and Van Loan, Matrix Computations, section 5.3).
 
     Raises
     ------

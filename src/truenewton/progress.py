@@ -1,4 +1,4 @@
-"""What a long computation tells whoever waits: how far it is, and what there is already."""
+"""Progress of a long computation, and its best result so far, for a terminal."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TOLD: ContextVar[Told] = ContextVar("told", default=_nobody)
 
 @contextmanager
 def telling(told: Told) -> Iterator[None]:
-    """Have somebody told of all progress inside."""
+    """Report all progress inside to a function."""
     token = _TOLD.set(told)
     try:
         yield
@@ -33,7 +33,7 @@ def telling(told: Told) -> Iterator[None]:
 
 @contextmanager
 def kept_as(made_of: Callable[[Any], Any]) -> Iterator[None]:
-    """Make something else of all that is kept inside."""
+    """Convert every result that is kept inside."""
     outer = _TOLD.get()
 
     def told(what: str, done: float, keep: Callable[[], Any] | None) -> None:
@@ -44,22 +44,22 @@ def kept_as(made_of: Callable[[Any], Any]) -> Iterator[None]:
 
 
 def tell(what: str, done: float = 0.0, keep: Callable[[], Any] | None = None) -> None:
-    """Tell whoever waits.
+    """Report progress.
 
     Parameters
     ----------
     what
         What begins now; with ``keep``, what has been found.
     done
-        Share of the work that is done; 0 where nobody knows.
+        Fraction of the work that is done; 0 if not known.
     keep
-        Makes a complete result of what there is, for someone who waits no longer.
+        Returns a complete result from what has been computed, if the user stops waiting.
     """
     _TOLD.get()(what, done, keep)
 
 
 def telling_of(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
-    """Yield so many items, and tell how many are done."""
+    """Yield items, and report how many of them are done."""
     tell(f"0 of {total} {what}")
     for number, item in enumerate(items, 1):
         yield item

@@ -1,4 +1,4 @@
-"""Numbers as people read them: rounded with their errors, counted, listed, in tables."""
+"""Numbers as text: rounded with their errors, counted, listed, in tables."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ CELL = '<td style="text-align: left; white-space: pre-wrap; font-family: monospa
 
 
 def with_error(value: float, error: float) -> str:
-    """Return a number rounded with its error, as the Particle Data Group does.
+    """Return a number rounded with its error by the rule of the Particle Data Group.
 
-    The error keeps two digits if its first three lie below 355, else one; 950 and more round up to
-    1000 and keep two. The value goes as far as the error.
+    The error keeps two digits if its first three are below 355, else one; from 950 it becomes 1000
+    with two. The value is rounded to the same place.
     """
     if not math.isfinite(value):
         return "unknown"
@@ -38,12 +38,12 @@ def percent(ratio: float) -> str:
 
 
 def to_digits(value: float, error: float) -> str:
-    """Return a number as far as its error goes, the error itself left out."""
+    """Return a number rounded by its error, without the error."""
     return with_error(value, error).split(" ±")[0]
 
 
 def significant(value: float, digits: int = 2) -> str:
-    """Return a number with so many significant digits, zeros at its end kept."""
+    """Return a number with some significant digits, trailing zeros kept."""
     if not math.isfinite(value):
         return "unknown"
     if value == 0.0:
@@ -54,14 +54,13 @@ def significant(value: float, digits: int = 2) -> str:
     return f"{value:.{digits - 1}e}"
 
 
-def by_chance(probability: float) -> str:
-    """Return how often chance alone does that to a mirror, in words."""
-    share = f"{probability:.1g}" if probability > 1e-12 else "fewer than 1e-12"
-    return f"by chance on {share} of such mirrors"
+def chance_text(probability: float) -> str:
+    """Return the probability that any actuator of a mirror deviates as much by chance."""
+    return f"chance probability {f'{probability:.1g}' if probability > 1e-12 else 'below 1e-12'}"
 
 
 def counted(count: int | Sized, noun: str, plural: str = "") -> str:
-    """Return so many of a noun, as '1 row' or '2 rows'; of what has a length, that many."""
+    """Return a number with a noun, as '1 row' or '2 rows'; a collection counts as its length."""
     number = len(count) if isinstance(count, Sized) else int(count)
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
@@ -76,7 +75,7 @@ def listed(names: Iterable[object], most: int) -> str:
 
 
 def numbered(noun: str, numbers: Sequence[int]) -> str:
-    """Return a noun with ascending numbers, runs of them from end to end: 'segments 1 to 3, 5'."""
+    """Return a noun with ascending numbers, runs shortened: 'segments 1 to 3, 5'."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][-1] + 1:
@@ -92,15 +91,12 @@ def numbered(noun: str, numbers: Sequence[int]) -> str:
 
 
 def named(noun: str, names: Sequence[object], most: int) -> str:
-    """Return a noun with the names of those that are meant, as 'actuators 3, 5 and 8'."""
+    """Return a noun with names, as 'actuators 3, 5 and 8'."""
     return f"{noun if len(names) == 1 else f'{noun}s'} {listed(names, most)}"
 
 
 def html_table(title: str, rows: Iterable[Sequence[str]], remarks: Iterable[str] = ()) -> str:
-    """Return a title, rows of cells and remarks below them as HTML, everything escaped.
-
-    Names and warnings come from files: whatever stands in them is text.
-    """
+    """Return a title, rows of cells and remarks as HTML; text from files is escaped."""
     cells = (f"<tr>{''.join(f'{CELL}{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     below = "".join(f"<div>{escape(remark)}</div>" for remark in remarks)
     return f"<div><b>{escape(title)}</b><table>{''.join(cells)}</table>{below}</div>"

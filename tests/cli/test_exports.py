@@ -138,7 +138,7 @@ def test_a_notebook_shows_what_the_terminal_says(campaign, calibration):
     modes = tn.find_modes(p45_campaign(1))
     results = (
         (calibration, calibration_summary, list(warning_lines(calibration.verdict.faults))),
-        (tn.track(*days), tracking_summary, ["nobody leaves the family"]),
+        (tn.track(*days), tracking_summary, ["no outliers"]),
         (modes, modal_summary, [f"verdict on alpha {modes.calibration.verdict}"]),
     )
     for result, words, more in results:

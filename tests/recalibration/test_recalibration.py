@@ -169,7 +169,7 @@ def test_a_warm_run_beside_a_cold_calibration():
     warm = short(replaced() * (1 + 8 * k), random, loads=2, temperature=28.0)
     made = tn.recalibrate(warm, earlier(random, scale=wrong_ring()), [17])
     assert made.moved == ()
-    assert "holds at 20.0 deg C, the run was at 28.0" in made.limits[0]
+    assert "is of 20.0 deg C, the run of 28.0" in made.limits[0]
     assert made.calibration.temperature == 20.0
     ratio = made.calibration.alpha / (quiet_cycles()[1] * replaced())
     # Not 8.8e-3 off, as 8 K would put it.
@@ -182,8 +182,8 @@ def test_a_warm_run_beside_a_cold_calibration():
         made = tn.recalibrate(warm, law, [17])
         assert made.moved == ()
         assert made.calibration.temperature == pytest.approx(temperature)
-        far = ["the run was at 28.0 deg C, and the days of the law between 12.0 and 24.0"]
-        assert [limit.split(":")[0] for limit in made.limits] == far * (temperature > 25.0)
+        assert len(made.limits) == (temperature > 25.0)
+        assert all("the days of the law between 12.0 and 24.0" in one for one in made.limits)
 
 
 def test_an_actuator_without_an_earlier_calibration_is_new():
@@ -224,7 +224,7 @@ def test_what_cannot_be_recalibrated_is_refused():
     elsewhere = dataclasses.replace(before.layout, x=before.layout.x + 1e-3)
     refused(CampaignMismatch, "other actuators", run,
             dataclasses.replace(before, layout=elsewhere))  # fmt: skip
-    refused(FormatError, "carries no scale", run, dataclasses.replace(before, scale="mean 1"))
+    refused(FormatError, "contains no scale", run, dataclasses.replace(before, scale="mean 1"))
     refused(RankDeficient, "23 of 45 actuators are new", run, before, range(1, 24))
     few = np.arange(90) < 2
     less = tn.Campaign((dataclasses.replace(run.cycles[0], valid=few),))
@@ -232,7 +232,7 @@ def test_what_cannot_be_recalibrated_is_refused():
     matrix = tn.StiffnessMatrix("P45", run.cycles[0].date, before.layout, np.eye(45))
     refused(FormatError, "stiffness matrix", tn.Campaign(run.cycles, matrix), before, [17])
     everyone = short(random.uniform(0.7, 1.1, 45), random)
-    refused(RankDeficient, "no longer agree", everyone, before)
+    refused(RankDeficient, "disagree with", everyone, before)
 
 
 @pytest.fixture
@@ -249,7 +249,7 @@ def test_the_command_writes_an_ordinary_calibration(inside, files, tmp_path):
                             tmp_path / "new.fits")  # fmt: skip
     assert (code, err) == (0, "")
     for words in ("-20.", "replaced", "MOVED", "31 ", "earlier calibration 1.7 %",
-                  "the rest agree", "written"):  # fmt: skip
+                  "they agree", "written"):  # fmt: skip
         assert words in out, words
     made = tn.read(tmp_path / "new.fits")
     assert (made.method, made.scale) == ("ml, recalibrated", "given")

@@ -21,9 +21,9 @@ from helpers.tracked import (
 )
 from truenewton.errors import RankDeficient
 from truenewton.recalibration.summary import lines as lines_of_run
-from truenewton.tracking.days import covariances, gathered
+from truenewton.tracking.days import covariances, gather_days
 from truenewton.tracking.linear_fit import relative_days
-from truenewton.tracking.scatter import Scatter, expanded, scatter_of
+from truenewton.tracking.scatter import Scatter, estimate_scatter, expanded
 from truenewton.tracking.summary import lines
 
 K = np.random.default_rng(11).normal(MEAN_K, SPREAD_K, 45)
@@ -47,9 +47,9 @@ def scattered(seed, own=0.0, common=0.0):
 
 def test_scatter_is_where_the_restricted_likelihood_of_all_days_is_largest():
     """Against the density of contrasts of all days in one matrix, turned at random."""
-    days = gathered(scattered(3, own=3e-4, common=5e-4))
+    days = gather_days(scattered(3, own=3e-4, common=5e-4))
     settings = np.column_stack([np.array(TEMPERATURES) - 18.0, 0.1 * np.arange(6) - 0.25])
-    found = scatter_of(
+    found = estimate_scatter(
         *relative_days(days, ALL, settings).contrasts(), np.eye(45), ALL, common=True
     )
 
@@ -78,9 +78,9 @@ def test_actuators_that_changed_are_no_scatter():
     y = np.random.default_rng(2).normal(0.0, 1e-3, (3, 60))
     covariance = np.array([1e-8 * np.eye(60)] * 3)
     everyone = np.ones(60, dtype=bool)
-    clean = scatter_of(y, covariance, np.eye(60), everyone, common=False)
+    clean = estimate_scatter(y, covariance, np.eye(60), everyone, common=False)
     y[:, :9] += 0.02
-    found = scatter_of(y, covariance, np.eye(60), everyone, common=False)
+    found = estimate_scatter(y, covariance, np.eye(60), everyone, common=False)
     assert clean.own == pytest.approx(1e-3, rel=0.15)
     assert found.own == pytest.approx(clean.own, rel=0.15)
     # 51 actuators and 3 contrasts, of a variance that is nearly all scatter.
@@ -141,16 +141,16 @@ def test_days_that_leave_nothing_over_say_that_scatter_is_not_told():
     found = tn.track(*scattered(5, own=1e-3)[:2])
     assert found.scatter_degrees == 0
     assert found.outliers == ()
-    assert "2 days leave nothing over beside the 2 unknowns of each line" in found.limits[-1]
-    assert "none is assumed" in found.limits[-1]
+    assert "2 days only determine the 2 unknowns of each line" in found.limits[-1]
+    assert "assumed to be zero" in found.limits[-1]
     found = tn.track(*scattered(5, own=1e-3)[:4])
-    assert "rests on 1 degree of freedom" in found.limits[-1]
+    assert "has only 1 degree of freedom" in found.limits[-1]
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (0.01 * np.random.default_rng(3).standard_normal(45), "each actuator in its own way"),
+        (0.01 * np.random.default_rng(3).standard_normal(45), "each actuator differently"),
         (np.array(0.03), "all actuators alike: check its weights"),
     ],
 )
@@ -159,7 +159,9 @@ def test_a_day_off_the_law_of_the_others_is_named(change, said):
     days[4] = dataclasses.replace(days[4], alpha=days[4].alpha * (1 + change))
     found = tn.track(*days)
     [limit] = found.limits
-    assert limit.startswith(f"P45 of {days[4].date:%Y-%m-%d} lies off the law of the other days")
+    assert limit.startswith(
+        f"P45 of {days[4].date:%Y-%m-%d} differs from the law of the other days"
+    )
     assert said in limit
     size = float(limit.split(" by ")[1].split(" %")[0])
     assert size == pytest.approx(100 * np.sqrt(np.mean(change**2)), rel=0.3)
@@ -232,10 +234,10 @@ def test_a_verdict_of_a_short_run_tells_that_the_others_changed(inside, tmp_path
     assert json.loads(out)["others"]["scatter"] == pytest.approx(1e-3, rel=0.3)
     verdict = tn.read(tmp_path / "new.fits").verdict
     assert verdict.level == "usable"
-    assert any("the others have changed by" in each.fault for each in verdict.faults)
+    assert any("other actuators has changed by" in each.fault for each in verdict.faults)
 
 
 def test_others_that_all_changed_by_much_are_no_prior():
     run, known, _ = run_and_known(3, 0.08)
-    with pytest.raises(RankDeficient, match=r"they have changed by \S+ % each.* calibrate anew"):
+    with pytest.raises(RankDeficient, match=r"each has changed by \S+ %.* calibrate all again"):
         tn.recalibrate(run, known, [17])

@@ -123,9 +123,9 @@ def test_the_command_tracks_all_segments(files, inside, tmp_path):
     assert (code, wrong) == (0, "")
     assert "3 calibrations" in said.splitlines()[0]
     assert "of 3 segments" in said.splitlines()[0]
-    assert said.count("nobody leaves the family") == 1
-    assert "segments 1 to 3: nobody leaves the family" in said
-    assert "segments 1 to 3: the latest calibration, as it is, serves 1 %" in said
+    assert said.count("no outliers") == 1
+    assert "segments 1 to 3: no outliers" in said
+    assert "segments 1 to 3: the latest calibration is valid to 1 %" in said
     code, said, _ = inside("track", *files, "--json")
     values = json.loads(said)
     assert values["schema"] == "truenewton.track-segments/2"

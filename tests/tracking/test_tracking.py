@@ -23,10 +23,10 @@ from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
 from truenewton.records.cycle import Source
 from truenewton.statics.load import Load
 from truenewton.tracking.days import DatedCalibration, covariances, weight_groups
-from truenewton.tracking.family import families_from, fitted_population, most_outlying
-from truenewton.tracking.figures import plot_family, plot_law, tracking_figures
+from truenewton.tracking.figures import plot_law, plot_population, tracking_figures
 from truenewton.tracking.law import validity_of
 from truenewton.tracking.linear_fit import linear_fit
+from truenewton.tracking.population import fit_population, most_outlying, populations_from
 from truenewton.tracking.summary import lines
 
 K = np.random.default_rng(11).normal(MEAN_K, SPREAD_K, 45)
@@ -44,16 +44,16 @@ def tracking():
 
 def test_even_noise_gives_the_sample_variance_less_the_noise():
     y = np.random.default_rng(2).normal(-1.0, 0.3, 20)
-    found = fitted_population(y, 0.04 * np.eye(20), np.zeros(20, dtype=int))
+    found = fit_population(y, 0.04 * np.eye(20), np.zeros(20, dtype=int))
     sample = y.var(ddof=1)
     assert found.variance[0] == pytest.approx(sample - 0.04, rel=1e-6)
     assert found.mean[0] == pytest.approx(y.mean(), rel=1e-12)
-    [family] = families_from(("temperature",), found, np.array([20]))
-    assert family.mean_error == pytest.approx(np.sqrt(sample / 20), rel=1e-6)
+    [population] = populations_from(("temperature",), found, np.array([20]))
+    assert population.mean_error == pytest.approx(np.sqrt(sample / 20), rel=1e-6)
     ends = 19 * sample / scipy.stats.chi2.isf([0.025, 0.975], 19)
-    assert family.spread_interval == pytest.approx(np.sqrt(ends - 0.04), rel=1e-6)
-    t = scipy.stats.t.isf(0.025, 19) * family.mean_error
-    assert family.mean_interval == pytest.approx((y.mean() - t, y.mean() + t), rel=1e-6)
+    assert population.spread_interval == pytest.approx(np.sqrt(ends - 0.04), rel=1e-6)
+    t = scipy.stats.t.isf(0.025, 19) * population.mean_error
+    assert population.mean_interval == pytest.approx((y.mean() - t, y.mean() + t), rel=1e-6)
 
 
 def test_two_effects_are_where_the_restricted_likelihood_is_largest():
@@ -63,7 +63,7 @@ def test_two_effects_are_where_the_restricted_likelihood_is_largest():
     which = np.repeat([0, 1], 12)
     spreads = np.array([1.0, 2.0])[which]
     y = random.multivariate_normal(np.zeros(24), covariance + np.diag(spreads**2))
-    found = fitted_population(y, covariance, which)
+    found = fit_population(y, covariance, which)
     contrasts = np.kron(np.eye(2), scipy.linalg.null_space(np.ones((1, 12))))
 
     def off(variance):  # the density of contrasts, which know no mean
@@ -77,17 +77,17 @@ def test_two_effects_are_where_the_restricted_likelihood_is_largest():
 
 def test_no_spread_beyond_the_noise_is_none():
     y = np.linspace(-0.01, 0.01, 12)
-    found = fitted_population(y, np.eye(12), np.zeros(12, dtype=int))
+    found = fit_population(y, np.eye(12), np.zeros(12, dtype=int))
     assert found.variance[0] == 0.0
-    [family] = families_from(("drift",), found, np.array([12]))
-    assert family.spread_interval[0] == 0.0
+    [population] = populations_from(("drift",), found, np.array([12]))
+    assert population.spread_interval[0] == 0.0
 
 
 def test_a_stranger_is_judged_by_students_t_where_there_is_no_noise():
     y = np.append(np.random.default_rng(3).normal(0, 1, 29), 4.5)
     which, covariance = np.zeros(30, dtype=int), 1e-12 * np.eye(30)
     place, sigmas, chance = most_outlying(
-        y, covariance, which, fitted_population(y, covariance, which)
+        y, covariance, which, fit_population(y, covariance, which)
     )
     others = y[:29]
     # Even weight of all variances: Student's t with two degrees less than the others leave.
@@ -180,9 +180,9 @@ def test_the_family_pulls_what_the_days_hardly_hold(tracking):
     alone = linear_fit(days, np.ones(45, dtype=bool), settings, np.zeros(45)).effects[0]
     pooled = tracking.coefficient
     assert np.mean((pooled - K) ** 2) < np.mean((alone - K) ** 2)
-    family = tracking.families[0]
-    assert family.mean_interval[0] < MEAN_K < family.mean_interval[1]
-    assert family.spread_interval[0] < SPREAD_K < family.spread_interval[1]
+    population = tracking.populations[0]
+    assert population.mean_interval[0] < MEAN_K < population.mean_interval[1]
+    assert population.spread_interval[0] < SPREAD_K < population.spread_interval[1]
 
 
 # Who leaves the family
@@ -199,15 +199,15 @@ def test_who_leaves_by_temperature_by_drift_or_by_a_jump_is_named_and_drawn():
     named = {(one.actuator, one.effect) for one in found.outliers}
     assert named == {(5, "temperature"), (6, "temperature"), (21, "drift"), (41, "line")}
     assert all(one.probability < 0.01 for one in found.outliers)
-    assert found.families[0].members == 42
+    assert found.populations[0].members == 42
     assert np.abs(found.coefficient - k)[[4, 5]].max() < 5 * found.errors[1].max()
     assert found.errors[0][40] > 3 * np.median(found.errors[1])  # its own scatter is allowed for
-    kinds = ("temperature", "time", "family-temperature", "family-drift")
+    kinds = ("temperature", "time", "population-temperature", "population-drift")
     assert set(tracking_figures(found)) == {f"track-{kind}" for kind in kinds}
     assert "21" in {text.get_text() for text in plot_law(found, "drift").texts}
-    for ax in (plot_law(found, "temperature"), plot_family(found, "temperature")):
+    for ax in (plot_law(found, "temperature"), plot_population(found, "temperature")):
         assert "5" in {text.get_text() for text in ax.texts}
-    assert "5" not in {text.get_text() for text in plot_family(found, "drift").texts}
+    assert "5" not in {text.get_text() for text in plot_population(found, "drift").texts}
     points = [line for line in plot_law(found, "temperature").lines if len(line.get_xdata()) == 6]
     slope = [np.polyfit(p.get_xdata(), p.get_ydata(), 1)[0] for p in points]
     assert np.median(slope) == pytest.approx(100 * np.median(found.coefficient), rel=0.1)
@@ -228,7 +228,7 @@ def test_cycles_of_one_campaign_at_two_temperatures_are_calibrated_apart():
     found = tn.track(tn.Campaign((*cold.cycles, *warm)))
     assert [round(day.temperature) for day in found.days] == [12, 24]
     assert found.effects == ("temperature",)
-    assert "drift is not told" in found.limits[0]
+    assert "drift is not known" in found.limits[0]
     assert np.sqrt(np.mean((found.coefficient - K) ** 2)) < 2e-4
     apart = tn.track(cold, tn.Campaign(tuple(warm)))
     assert np.array_equal(apart.coefficient, found.coefficient)
@@ -246,7 +246,7 @@ def test_one_temperature_or_none_tells_drift_alone():
     days = [dataclasses.replace(c, temperature=np.nan) for c in drawn(9, 0.0, R, gap=200.0)]
     found = tn.track(*days)
     assert found.effects == ("drift",)
-    assert "whatever temperature did" in found.limits[0]
+    assert "effects of temperature" in found.limits[0]
 
 
 def test_temperature_and_time_that_went_together_are_not_told_apart(tmp_path):
@@ -254,8 +254,8 @@ def test_temperature_and_time_that_went_together_are_not_told_apart(tmp_path):
     k = np.where(np.arange(45) == 4, 3e-3, K)
     found = tn.track(*drawn(7, k, temperatures=(12.0, 16.0, 20.0)))
     assert found.effects == ("temperature",)
-    assert "went together" in found.limits[0]
-    with pytest.raises(RankDeficient, match="drifts"):
+    assert "changed together" in found.limits[0]
+    with pytest.raises(RankDeficient, match="drift"):
         found.alpha_at(time=found.date + datetime.timedelta(days=400))
     found.write(tmp_path / "t.fits")
     back = tn.read_tracking(tmp_path / "t.fits")
@@ -270,7 +270,7 @@ def test_an_actuator_that_was_disabled_on_a_day_is_left_out():
     days[0] = dataclasses.replace(days[0], alpha=alpha, layout=layout)
     found = tn.track(*days)
     assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [7]
-    assert "left out: 1" in found.limits[-1]
+    assert "not enabled on every day: 1 actuator" in found.limits[-1]
     assert np.isnan(found.alpha_at(20.0).error[7])
     assert np.isfinite(validity_of(found, 0.01).now)
 
@@ -332,7 +332,7 @@ def test_days_share_the_error_of_a_weight_only_where_all_agrees():
     apart = tn.track(one.calibration, dataclasses.replace(two.calibration, loads=(
         Load("bare"), dataclasses.replace(two.calibration.loads[1], tool="another"))))  # fmt: skip
     together = tn.track(one.calibration, two.calibration)
-    assert apart.families[0].mean_error > 5 * together.families[0].mean_error
+    assert apart.populations[0].mean_error > 5 * together.populations[0].mean_error
 
 
 # When to calibrate again
@@ -379,8 +379,8 @@ def test_nothing_is_promised_where_no_day_has_been(tracking):
     first, last = tracking.days[0].date, tracking.days[-1].date
     assert v.until == v.law_until == last + (last - first)
     said = " ".join(lines(tracking, 0.5))
-    assert "from 12.0 to 24.0 deg C (the days saw no other)" in said
-    assert "(as long again as the days lasted)" in said
+    assert "from 12.0 to 24.0 deg C (limit of the days)" in said
+    assert "(limit of extrapolation)" in said
     too_noisy = validity_of(tracking, 1e-5)
     assert too_noisy.now > 1e-5
     assert too_noisy.temperatures == (tracking.days[-1].temperature,) * 2
@@ -401,8 +401,8 @@ def test_the_file_holds_all_and_serves_electronics(tracking, tmp_path):
     assert validity_of(back, 0.004) == validity_of(tracking, 0.004)
     one, two = (t.alpha_at(14.0, t.days[2].date) for t in (tracking, back))
     assert np.array_equal(one.covariance, two.covariance)
-    assert (back.families, back.outliers, back.limits, back.effects) == (
-        tracking.families, tracking.outliers, tracking.limits, tracking.effects)  # fmt: skip
+    assert (back.populations, back.outliers, back.limits, back.effects) == (
+        tracking.populations, tracking.outliers, tracking.limits, tracking.effects)  # fmt: skip
     with fits.open(tmp_path / "t.fits") as hdus:  # as electronics would, with nothing of ours
         table, head = hdus["TRACKING"].data, hdus[0].header
         years = (
@@ -422,8 +422,8 @@ def test_the_command_tells_people_and_scripts(inside, tmp_path):
     files = sorted(tmp_path.glob("*.fits"))
     code, out, err = inside("track", *files, "-o", tmp_path / "t.fits", "--accuracy", "0.004")
     assert (code, err) == (0, "")
-    for words in ("temperature, mean", "spread of actuators", "nobody leaves the family",
-                  "serves 0.4 % from", f"written: {tmp_path / 't.fits'}", "0.fits"):  # fmt: skip
+    for words in ("temperature, mean", "spread of actuators", "no outliers",
+                  "valid to 0.4 % from", f"written: {tmp_path / 't.fits'}", "0.fits"):  # fmt: skip
         assert words in out
     assert inside("track", *files, "-o", tmp_path / "t.fits")[0] == 2
     code, out, err = inside("track", *files, "--accuracy", "-1")
@@ -447,6 +447,6 @@ def test_a_campaign_and_a_calibration_are_tracked_together(inside, tmp_path):
                           "--figures", tmp_path / "figures")  # fmt: skip
     assert code == 0
     kinds = {path.stem for path in (tmp_path / "figures").iterdir()}
-    assert kinds == {"track-temperature", "track-family-temperature"}
+    assert kinds == {"track-temperature", "track-population-temperature"}
     assert "one\n" in out
-    assert "LIMIT: temperature and time went together" in out
+    assert "LIMIT: temperature and time changed together" in out

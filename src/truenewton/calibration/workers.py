@@ -1,8 +1,8 @@
-"""Calls in processes of their own, side by side.
+"""Calls in separate processes, several at once.
 
-A process starts afresh, from no fork of this one and without its main module: a script needs no
-guard, a notebook no file, and threads of ours no care. It reads a call from its standard input and
-writes what that returned, or raised, to its standard output, both pickled.
+A process is started, not forked, and does not import the main module: scripts need no guard,
+notebooks no file, and threads do not matter. It reads a pickled call from standard input and writes
+the pickled result, or exception, to standard output.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Answer = TypeVar("Answer")
 
 
 def processors() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -38,20 +38,20 @@ def processors() -> int:
 
 @dataclass(frozen=True)
 class Processes:
-    """An executor: so many processes at once, each for one call.
+    """An executor with several processes, each for one call.
 
-    A function that it maps is one of a module, or a partial of one.
+    It maps functions of a module, or partials of them.
     """
 
     number: int
 
     def map(self, fn: Callable[..., Answer], *iterables: Iterable[Any]) -> Iterator[Answer]:
-        """Yield what a function returns of items, in their order.
+        """Yield the results of a function in the order of the items; raise its exceptions.
 
         Raises
         ------
         ChildProcessError
-            A process ended without an answer. What a call raises is raised here.
+            A process ended without a result.
         """
         running: set[subprocess.Popen[bytes]] = set()
         guard, stopped = threading.Lock(), threading.Event()
@@ -91,9 +91,9 @@ class Processes:
 
 
 def executor_for(layout: Layout, processes: int | None) -> Processes | None:
-    """Return what works on so many segments of a mirror at once; None for one after the other.
+    """Return an executor for the segments of a mirror; None to work on one after the other.
 
-    Unless given, as many as there are processors, if segments are large.
+    By default with one process for each processor if segments are large.
     """
     if processes is None:
         largest = int(np.unique(np.asarray(layout.segment), return_counts=True)[1].max())
@@ -102,7 +102,7 @@ def executor_for(layout: Layout, processes: int | None) -> Processes | None:
 
 
 def main() -> None:
-    """Answer one call."""
+    """Run one call."""
     function, items = pickle.load(sys.stdin.buffer)
     answers, sys.stdout = sys.stdout.buffer, sys.stderr  # nothing else may come between
     with warnings.catch_warnings():

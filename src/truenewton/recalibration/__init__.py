@@ -1,7 +1,7 @@
-"""After an actuator, a magnet or a coil was replaced: a short run beside the earlier calibration.
+"""A short run after actuators were replaced, with an earlier calibration as prior.
 
-known      what the earlier calibration knows, and which errors a new run shares
-short_run  the likelihood of the short run, its bad rows, who has moved
-fit        the recalibration itself, and its result
-summary    in words and numbers: terminal, script
+prior      the earlier calibration, and errors of weights that the run shares with it
+short_run  the likelihood of the run, its bad rows, and actuators that moved
+fit        `recalibrate` and its result
+summary    text for the terminal, values for JSON
 """

@@ -1,8 +1,8 @@
-"""After an actuator, a magnet or a coil was replaced: a short run beside the earlier calibration.
+"""`recalibrate`: a short run after actuators were replaced, with the earlier calibration as prior.
 
-The earlier calibration is the prior of all actuators but those replaced; B and the torques are free
-anew, since the bias magnet sits in the actuator. The others carry the scale, so that one load
-suffices. The error of the earlier scale stays common to all (see `known.shared_errors`).
+The prior holds all actuators that were not replaced, and with them the scale, so that one load
+suffices. B and the torques are free, since the bias magnet is part of the actuator. The error of
+the earlier scale stays common to all (`prior.shared_errors`).
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from truenewton.estimation.problem import Problem, with_noise_from_minimum
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.reading import Read, read
-from truenewton.recalibration.known import (
+from truenewton.recalibration.prior import (
     EARLIER,
     AnyKnown,
-    EarlierCalibration,
-    known_from,
-    known_of,
+    PriorCalibration,
+    known_for,
+    prior_from,
     shared_errors,
 )
 from truenewton.recalibration.short_run import (
-    Pulls,
+    PriorResiduals,
     balancing,
     build_problem,
     constrain,
@@ -68,33 +68,32 @@ from truenewton.statics.layout import Layout
 from truenewton.tracking.days import OTHER_UNIT, SAME_TEMPERATURE
 from truenewton.tracking.law import Outlier
 
-ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
-MOST = 0.25  # of the actuators that may have moved
+MIN_PROBABILITY = 1e-3  # of chi2; below, all others together disagree with their calibration
+MAX_MOVED_FRACTION = 0.25  # of the actuators
 
 
 @dataclass(frozen=True, eq=False)
 class Recalibration:
-    """What a short run after a replacement gives.
+    """The result of a short run after a replacement.
 
     Attributes
     ----------
     calibration
-        Of all actuators; an ordinary calibration. TEMPERAT is where the earlier one holds, since
-        the others carry its scale.
+        Of all actuators, like any other. TEMPERAT is that of the earlier one, whose scale it has.
     asked
         IDs that were named as replaced, or had no earlier calibration.
     moved
-        Others that no longer agree with their earlier calibration, the surest first; given anew
-        as well.
+        Others that disagree with their earlier calibration, the most significant first; estimated
+        from the run as well.
     earlier
-        (n,) alpha as it was.
+        (n,) alpha of the earlier calibration.
     chi2, degrees_of_freedom, probability
-        Of all that stayed against their earlier calibration; chance of a larger chi2.
+        Of all others against their earlier calibration; probability of a larger chi2.
     limits
-        What cannot be said, in words.
+        Limitations, in sentences.
     scatter
-        By how much each that stayed has changed since, relative, beyond the errors of the earlier
-        calibration and of the run; estimated from the run, and part of all errors.
+        Relative change of each of the others since, beyond the errors of the earlier calibration
+        and of the run; estimated from the run, and included in all errors.
     """
 
     calibration: Calibration
@@ -131,33 +130,33 @@ def recalibrate(
     force: bool = False,
     processes: int | None = None,
 ) -> Recalibration | Parts[Recalibration]:
-    """Calibrate replaced actuators by a short run, all others being known.
+    """Calibrate replaced actuators from a short run and an earlier calibration of the others.
 
     Parameters
     ----------
     campaign
-        The run after the replacement, or its path: one cycle under one load can do. Of a mirror in
-        several segments each is recalibrated by itself.
+        The run after the replacement, or its path: one cycle under one load can suffice. In several
+        segments each is recalibrated by itself.
     known
-        The earlier calibration, or the law that tracking found, or a path to either; of all
-        segments, or of the one.
+        The earlier calibration, or the law of `track`, or a path to either; of all segments, or of
+        one.
     actuators
-        IDs of the actuators replaced; if none are named, who changed is found out.
+        IDs of the actuators replaced; if empty, actuators that changed are found.
     force
-        Take what is known whose verdict is 'rejected', too.
+        Use an earlier calibration with the verdict 'rejected', too.
     processes
-        As of `calibrate`.
+        As in `calibrate`.
 
     Raises
     ------
     NotToBeUsed
-        The verdict on what is known, unless forced.
+        The earlier calibration is rejected, and ``force`` is not set.
     UnreadableFile, FormatError, CampaignMismatch
         Files that cannot be used, or not together.
     UnknownName
         There is no such actuator.
     RankDeficient
-        Too little data, or too many have moved; of all segments.
+        Too few data, or too many actuators moved; in several segments: of all.
     TooManyOutliers, NotConverged
 
     Warns
@@ -179,7 +178,7 @@ def recalibrate(
         alone = _recalibrated(run, known, actuators, force=force)
         warn_of(alone.calibration)
         return alone
-    _, before = known_of(known, run)
+    _, before = known_for(known, run)
     _require_enabled(run.layout, actuators)
 
     def solver(number: int) -> Callable[[Any], Recalibration]:
@@ -199,7 +198,7 @@ def _recalibrated(
     data: Campaign, known: AnyKnown, actuators: Sequence[int], *, force: bool
 ) -> Recalibration:
     """Recalibrate one body."""
-    before = known_from(known, data, force=force)
+    before = prior_from(known, data, force=force)
     ids = data.layout.id[data.layout.enabled]
     new = _new(data, before, actuators)
     screened = screen_campaign(data)
@@ -207,7 +206,7 @@ def _recalibrated(
     errors, scale = shared_errors(before, data)
     problem = build_problem(before, screened, errors)
     problem, moments, minimum, lost = balancing(problem, before, screened, new)
-    problem, minimum, stay, moved, against = _who_moved(problem, before, moments, minimum, ~new)
+    problem, minimum, stay, moved, against = _find_moved(problem, before, moments, minimum, ~new)
     problem, minimum = with_noise_from_minimum(problem, moments, minimum, degrees_of)
     rejected = (*screened.rejected, *lost)
     calibration = _calibration(before, problem, moments, minimum, rejected, scale, stay)
@@ -230,21 +229,22 @@ def _recalibrated(
     )
 
 
-def _who_moved(
+def _find_moved(
     problem: Problem,
-    known: EarlierCalibration,
+    known: PriorCalibration,
     moments: Moments,
     minimum: Minimum,
     stay: NDArray[np.bool_],
-) -> tuple[Problem, Minimum, NDArray[np.bool_], list[Outlier], Pulls]:
-    """Find who has moved besides, the surest first; return the fit in which they are free.
+) -> tuple[Problem, Minimum, NDArray[np.bool_], list[Outlier], PriorResiduals]:
+    """Release actuators that moved, the worst first, and return the fit in which they are free.
 
-    With it (n,) who stays, who moved, and how the run pulls at the earlier calibration as it is.
+    Also (n,) those that are still held, the outliers, and the residuals of the prior as it was
+    given.
 
     Raises
     ------
     RankDeficient
-        Too many have moved, or all by too much.
+        Too many moved, or all by too much.
     """
     ids = problem.campaign.layout.id[problem.campaign.layout.enabled]
     moved: list[Outlier] = []
@@ -256,9 +256,9 @@ def _who_moved(
         scatter = against.scatter
         if scatter.own > OTHER_UNIT:
             raise RankDeficient(
-                f"all others no longer agree with {known.name}: they have changed by"
-                f" {percent(scatter.own)} each",
-                remedy="check units and sign of FORCE and ADDED in the run; or calibrate anew",
+                f"all other actuators disagree with {known.name}: each has changed by"
+                f" {percent(scatter.own)}",
+                remedy="check units and sign of FORCE and ADDED in the run; or calibrate all again",
                 got=scatter.own,
                 want=OTHER_UNIT,
             )
@@ -276,20 +276,19 @@ def _who_moved(
             return problem, minimum, stay, moved, against
         moved.append(Outlier(int(ids[worst]), "moved", float(sigmas[worst]), mirror))
         stay[worst] = False
-        if len(moved) > MOST * len(stay):
+        if len(moved) > MAX_MOVED_FRACTION * len(stay):
             raise RankDeficient(
-                f"more than {counted(len(moved) - 1, 'actuator')} no longer agree with"
-                f" {known.name}",
-                remedy="calibrate anew",
+                f"more than {counted(len(moved) - 1, 'actuator')} disagree with {known.name}",
+                remedy="calibrate all actuators again",
                 got=len(moved),
-                want=MOST * len(stay),
+                want=MAX_MOVED_FRACTION * len(stay),
             )
 
 
 def _with_faults(
-    calibration: Calibration, known: EarlierCalibration, limits: Sequence[str]
+    calibration: Calibration, known: PriorCalibration, limits: Sequence[str]
 ) -> Calibration:
-    """Return the calibration with what cannot be said, and with the faults of the earlier one.
+    """Add the limitations, and the findings on the earlier calibration.
 
     Otherwise a rejected calibration could be used after a short run.
     """
@@ -312,27 +311,22 @@ def _with_faults(
 
 
 def _new(
-    campaign: Campaign, known: EarlierCalibration, actuators: Sequence[int]
+    campaign: Campaign, known: PriorCalibration, actuators: Sequence[int]
 ) -> NDArray[np.bool_]:
-    """Return (n,) who of the enabled is named, or has no earlier calibration."""
+    """Return which of the (n,) enabled actuators are named, or have no earlier calibration."""
     ids, on = campaign.layout.id, campaign.layout.enabled
     _require_enabled(campaign.layout, actuators)
     new = np.asarray(np.isin(ids[on], list(actuators)) | ~np.isfinite(known.alpha[on]))
     if 2 * new.sum() > new.size:
         raise RankDeficient(
-            f"{new.sum()} of {new.size} actuators are new, too many for the others to carry them",
-            remedy="calibrate anew",
+            f"{new.sum()} of {new.size} actuators are new, more than the others can constrain",
+            remedy="calibrate all actuators again",
         )
     return new
 
 
 def _require_enabled(layout: Layout, actuators: Sequence[int]) -> None:
-    """Refuse IDs that no enabled actuator has.
-
-    Raises
-    ------
-    UnknownName
-    """
+    """Raise `UnknownName` for an ID that no enabled actuator has."""
     for name in actuators:
         if name not in layout.id[layout.enabled]:
             raise UnknownName(
@@ -356,7 +350,7 @@ def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
 
 
 def _calibration(
-    known: EarlierCalibration,
+    known: PriorCalibration,
     problem: Problem,
     moments: Moments,
     minimum: Minimum,
@@ -364,7 +358,7 @@ def _calibration(
     scale: float,
     stay: NDArray[np.bool_],
 ) -> Calibration:
-    """Return an ordinary calibration, the error of the earlier scale common to all."""
+    """Return the calibration; the error of the earlier scale is common to all."""
     campaign, n = problem.campaign, problem.n
     values = minimum.values[: problem.unknowns.count]
     changes = minimum.changes.copy()
@@ -391,36 +385,31 @@ def _calibration(
 
 
 def _limits(
-    known: EarlierCalibration, campaign: Campaign, probability: float, scatter: float
+    known: PriorCalibration, campaign: Campaign, probability: float, scatter: float
 ) -> Iterator[str]:
-    """Yield what cannot be said."""
-    if probability < ALL_TOGETHER and scatter:
+    """Yield the limitations."""
+    if probability < MIN_PROBABILITY and scatter:
         yield (
-            f"the others have changed by {percent(scatter)} each since their earlier calibration,"
-            " and are held no better than that: calibrate anew where it is too much"
+            f"each of the other actuators has changed by {percent(scatter)} since its earlier"
+            " calibration, and its error includes that: calibrate all again if it is too large"
         )
-    elif probability < ALL_TOGETHER:
+    elif probability < MIN_PROBABILITY:
         yield (
-            "all others together disagree with their earlier calibration, though none stands out:"
-            " calibrate anew"
+            "the other actuators together disagree with their earlier calibration, without an"
+            " outlier: calibrate all again"
         )
     then, now = known.temperature, mean_temperature(campaign.cycles)
+    low, high = known.temperatures or (now, now)
     if not (np.isfinite(then) and np.isfinite(now)):
-        yield "the temperatures are not all known: others may seem to have moved"
-    elif known.temperatures and not _within(now, known.temperatures):
-        low, high = known.temperatures
+        yield "not all temperatures are known: a change of temperature looks like moved actuators"
+    elif not low - SAME_TEMPERATURE <= now <= high + SAME_TEMPERATURE:
         yield (
-            f"the run was at {now:.1f} deg C, and the days of the law between {low:.1f} and"
-            f" {high:.1f}: how alpha goes on from there is not known; track a day"
-            f" at {now:.0f} deg C"
+            f"the run was at {now:.1f} deg C, the days of the law between {low:.1f} and"
+            f" {high:.1f} deg C, and alpha is not known beyond: track a day at {now:.0f} deg C"
         )
     elif abs(now - then) > SAME_TEMPERATURE:
         yield (
-            f"the earlier calibration holds at {then:.1f} deg C, the run was at {now:.1f}: others"
-            f" may seem to have moved; alpha is given at {then:.1f} deg C (a tracking file as"
-            " --known takes temperature into account)"
+            f"the earlier calibration is of {then:.1f} deg C, the run of {now:.1f} deg C: a change"
+            " of temperature looks like moved actuators. Alpha is given at"
+            f" {then:.1f} deg C; a tracking file as --known corrects for temperature"
         )
-
-
-def _within(temperature: float, ends: tuple[float, float]) -> bool:
-    return ends[0] - SAME_TEMPERATURE <= temperature <= ends[1] + SAME_TEMPERATURE

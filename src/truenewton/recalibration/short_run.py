@@ -1,16 +1,16 @@
-"""A short run beside an earlier calibration: its likelihood, its bad rows, who has moved.
+"""The likelihood of a short run with an earlier calibration as prior; actuators that moved.
 
-Who has moved besides: with I the information of the prior and H^-1 M H^-1 the covariance of the
-estimate (docs/likelihood.md), errors of the weights included, the pull of the prior and its
-covariance are
+With I the information of the prior and H^-1 M H^-1 the covariance of the estimate
+(docs/likelihood.md), errors of the weights included, the residual of the prior and its covariance
+are
 
     q = I (alpha - alpha_earlier),        I - 2 I H^-1 I + I H^-1 M H^-1 I,
 
 and q_i over its standard deviation is standard normal unless actuator i has moved.
 
-Others may have changed a little each, too: alpha = alpha_earlier (1 + e), e ~ N(0, s^2), which adds
-s^2 D D' to the covariance of q, with D = (I - I H^-1 I) diag(alpha_earlier). From that s is
-estimated as tracking does it from days (`tracking.scatter`); the prior then is
+The others may each have changed a little: alpha = alpha_earlier (1 + e), e ~ N(0, s^2). This adds
+s^2 D D' to the covariance of q, with D = (I - I H^-1 I) diag(alpha_earlier). s is estimated as
+tracking does it from days (`tracking.scatter`); the prior is then
 (I^-1 + s^2 diag(alpha_earlier^2))^-1.
 """
 
@@ -41,27 +41,27 @@ from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.linalg import inverse_of_positive, mirrored
-from truenewton.recalibration.known import EarlierCalibration
-from truenewton.tracking.scatter import Scatter, scatter_of
+from truenewton.recalibration.prior import PriorCalibration
+from truenewton.tracking.scatter import Scatter, estimate_scatter
 
-LOOSE = 0.2  # relative, of a prior that lets everyone move: bad rows are judged by it
-SCALE_HELD = 1e-4  # of the common scale in it
-SMALL = 1e-6  # part of the prior's variance below which the run says nothing
+LOOSE_ERROR = 0.2  # relative error of each actuator, and of the common scale, in a prior with
+SCALE_ERROR = 1e-4  # which every actuator may move: bad rows are judged by it
+MIN_VARIANCE = 1e-6  # of a residual, in variances of the prior: below, the run does not constrain
 
 
 def run_from(data: Any) -> Any:
-    """Return the run, of one body or of several segments; refuse what is not cycles alone."""
+    """Return the run, of one body or of several segments; refuse data other than cycles."""
     if not getattr(data, "cycles", ()):
-        raise FormatError("holds no cycles", remedy="give the run after the change")
+        raise FormatError("contains no cycles", remedy="give the run after the change")
     if data.stiffness is not None:
-        raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
+        raise FormatError("contains a stiffness matrix beside the cycles", remedy="leave it out")
     return data
 
 
 def build_problem(
-    known: EarlierCalibration, screened: ScreenedCampaign, errors: WeightErrors
+    known: PriorCalibration, screened: ScreenedCampaign, errors: WeightErrors
 ) -> Problem:
-    """Pose the problem of a run about the earlier alpha, of which nothing is held yet."""
+    """Return the problem of a run about the earlier alpha, without information of the prior."""
     campaign = screened.sound
     problem = problem_of(campaign, reading_noise(campaign, screened.moments), errors)
     alpha = np.where(np.isfinite(known.alpha), known.alpha, np.nanmean(known.alpha))
@@ -73,11 +73,11 @@ def build_problem(
 
 
 def constrain(
-    problem: Problem, known: EarlierCalibration, stay: NDArray[np.bool_], scatter: float = 0.0
+    problem: Problem, known: PriorCalibration, stay: NDArray[np.bool_], scatter: float = 0.0
 ) -> Problem:
-    """Return the problem with the (n,) who stay held to their earlier calibration.
+    """Return the problem with the (n,) actuators ``stay`` held to their earlier calibration.
 
-    ``scatter`` is what each may have changed by since, relative.
+    ``scatter`` is the relative change of each since then.
     """
     on = problem.campaign.layout.enabled
     at = np.ix_(stay, stay)
@@ -87,26 +87,26 @@ def constrain(
     return replace(problem, prior=replace(problem.prior, information=information))
 
 
-def _hardly_held(problem: Problem, new: NDArray[np.bool_]) -> Problem:
-    """Return the problem with little held but the common scale; (n,) are new."""
+def _loosely_constrained(problem: Problem, new: NDArray[np.bool_]) -> Problem:
+    """Return the problem with the common scale held, and each actuator loosely unless (n,) new."""
     alpha = problem.prior.mean[: problem.n]
-    size = np.where(new, 1e3, LOOSE) * alpha
+    size = np.where(new, 1e3, LOOSE_ERROR) * alpha
     stay = ~new / alpha / np.count_nonzero(~new)
-    information = np.diag(size**-2) + np.outer(stay, stay) / SCALE_HELD**2
+    information = np.diag(size**-2) + np.outer(stay, stay) / SCALE_ERROR**2
     return replace(problem, prior=replace(problem.prior, information=information))
 
 
 def balancing(
-    posed: Problem, known: EarlierCalibration, screened: ScreenedCampaign, new: NDArray[np.bool_]
+    posed: Problem, known: PriorCalibration, screened: ScreenedCampaign, new: NDArray[np.bool_]
 ) -> tuple[Problem, Moments, Minimum, tuple[RejectedRow, ...]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
-    Held to its earlier calibration, one that was replaced, of (n,) ``new``, would make good shapes
-    look bad.
+    If the (n,) ``new`` actuators were held to their earlier calibration, good shapes would look
+    bad.
     """
     moments = screened.moments
     try:
-        free = _hardly_held(posed, new)
+        free = _loosely_constrained(posed, new)
         belongs, distance, (problem, minimum) = balancing_groups(free, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
         free = constrain(posed, known, ~new)
@@ -127,7 +127,7 @@ def inverse_of(problem: Problem, minimum: Minimum) -> Array:
 
 
 def degrees_of(problem: Problem, moments: Moments, minimum: Minimum) -> float:
-    """Return equations less what the data say of the unknowns beside the prior."""
+    """Return the equations less the information of the data on the unknowns beyond the prior."""
     inverse = inverse_of(problem, minimum)
     free = len(inverse)
     from_prior = float(np.sum(inverse * problem.prior.added_to(np.zeros((free, free)))))
@@ -135,18 +135,18 @@ def degrees_of(problem: Problem, moments: Moments, minimum: Minimum) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Pulls:
-    """How the prior is pulled by a run, of those who stay.
+class PriorResiduals:
+    """Residuals of the prior, of the actuators that are held.
 
     Attributes
     ----------
     sigmas
-        (n,) of each actuator given all others; 0 of who does not stay.
+        (n,) of each actuator given all others; 0 if it is not held.
     variance
-        (n,) of a change of alpha of each, relative, that would pull so.
+        (n,) of a relative change of alpha of each, from its residual.
     contrasts, covariance, shift
-        (m,) independent pulls, the (m,) variances that they have, and the (m, s) changes that
-        relative changes of alpha of the s who stay make.
+        (m,) independent residuals, their (m,) variances, and the (m, s) derivatives by relative
+        changes of alpha of the s that are held.
     """
 
     sigmas: Array
@@ -157,21 +157,21 @@ class Pulls:
 
     @property
     def chi2(self) -> float:
-        """Of all together, of as many degrees of freedom as there are contrasts."""
+        """Of all together, with as many degrees of freedom as contrasts."""
         return float(np.sum(self.contrasts**2 / self.covariance))
 
     @cached_property
     def scatter(self) -> Scatter:
-        """By how much each of those who stay has changed, relative."""
+        """Relative change of each actuator that is held."""
         y, covariance = self.contrasts[None], np.diag(self.covariance)[None]
         if not y.size:
             return Scatter()
         everyone = np.ones(self.shift.shape[1], dtype=bool)
-        return scatter_of(y, covariance, self.shift, everyone, common=False)
+        return estimate_scatter(y, covariance, self.shift, everyone, common=False)
 
 
-def prior_residuals(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> Pulls:
-    """Return how the (n,) who stay are pulled."""
+def prior_residuals(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> PriorResiduals:
+    """Return the residuals of the prior of the (n,) actuators that stay."""
     n = problem.n
     at = np.ix_(stay, stay)
     prior = problem.prior
@@ -186,13 +186,13 @@ def prior_residuals(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_])
     variance = one - 2 * inverse + spread
     pull = root.T @ apart
     values, vectors = scipy.linalg.eigh(variance)
-    held = values > SMALL
+    held = values > MIN_VARIANCE
     told = vectors[:, held].T
     of_each = np.einsum("ia,ab,ib->i", root, variance, root)
-    of_each = np.maximum(of_each, SMALL * np.sum(root**2, axis=1))
+    of_each = np.maximum(of_each, MIN_VARIANCE * np.sum(root**2, axis=1))
     alpha = prior.mean[:n]
     sigmas, relative = np.zeros(n), np.zeros(n)
     sigmas[stay] = root @ pull / np.sqrt(of_each)
     relative[stay] = 1 / (alpha[stay] ** 2 * of_each)
     shift = told @ (one - inverse) @ root.T * alpha[stay]
-    return Pulls(sigmas, relative, told @ pull, values[held], shift)
+    return PriorResiduals(sigmas, relative, told @ pull, values[held], shift)

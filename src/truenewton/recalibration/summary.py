@@ -1,4 +1,4 @@
-"""What a recalibration found, in words for people and in figures for scripts."""
+"""A recalibration in text for the terminal, and in values for JSON."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from truenewton.calibration.summary import summary_lines, summary_values
 from truenewton.files.format import attributes
 from truenewton.recalibration.fit import Recalibration
 from truenewton.records.parts import Parts, by_number, has_parts
-from truenewton.rounding import by_chance, percent, with_error
+from truenewton.rounding import chance_text, percent, with_error
 
 
 def lines(made: Recalibration | Parts[Recalibration], calibration: AnyCalibration) -> Iterator[str]:
-    """Yield what was found, for people: the calibration that can be used, who was given anew."""
+    """Yield the lines of the terminal: the calibration, and the actuators that changed."""
     yield from summary_lines(calibration)
     for number, one in by_number(made).items():
         if number:
@@ -23,44 +23,44 @@ def lines(made: Recalibration | Parts[Recalibration], calibration: AnyCalibratio
         yield from _changes(one)
         yield f"  {_others(one)}"
         if one.scatter and not number:
-            yield f"  each of them has changed by {percent(one.scatter)} since; errors allow for it"
+            yield f"  each of them has changed by {percent(one.scatter)} since; errors include it"
 
 
 def _changes(made: Recalibration) -> Iterator[str]:
-    """Yield a table of who was given anew."""
+    """Yield a table of the actuators that were estimated from the run."""
     c = made.calibration
-    anew = dict.fromkeys(made.asked, "replaced")
+    changed = dict.fromkeys(made.asked, "replaced")
     for one in made.moved:
-        chance = by_chance(one.probability)
-        anew[one.actuator] = f"MOVED: {abs(one.sigmas):.1f} sigma, {chance}"
-    if anew:
-        yield f"  {'given anew':<14}{'before':<12}{'now':<22}change"
+        chance = chance_text(one.probability)
+        changed[one.actuator] = f"MOVED: {abs(one.sigmas):.1f} sigma, {chance}"
+    if changed:
+        yield f"  {'actuator':<14}{'before':<12}{'now':<22}change"
     else:
-        yield "  nobody changed"
-    for name, words in anew.items():
+        yield "  no actuator changed"
+    for name, words in changed.items():
         actuator_index = int((c.layout.id == name).argmax())
         before, now, error = (
             float(values[actuator_index]) for values in (made.earlier, c.alpha, c.error)
         )
         was, change = f"{before:.4g}", f"{100 * (now / before - 1):+.2f} %"
         if not math.isfinite(before):
-            was, change = "-", "not known before"
+            was, change = "-", "no earlier value"
         yield f"  {name:<14}{was:<12}{with_error(now, error):<22}{change}, {words}"
 
 
 def _others(made: Recalibration) -> str:
     return (
-        "the others against their earlier calibration: chi2/DOF ="
+        "other actuators against their earlier calibration: chi2/DOF ="
         f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"
         f" probability {made.probability:.2g}; "
-        + ("the rest agree" if made.moved else "none has moved (false alarm on 1 % of mirrors)")
+        + ("they agree" if made.moved else "none has moved (false alarms on 1 % of mirrors)")
     )
 
 
 def values(
     made: Recalibration | Parts[Recalibration], calibration: AnyCalibration
 ) -> dict[str, Any]:
-    """Return the same figures for a script."""
+    """Return the same values for a script."""
     figures = summary_values(calibration)
     if not has_parts(made):
         return figures | _found(made)

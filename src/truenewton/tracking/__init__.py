@@ -1,13 +1,13 @@
-"""How alpha varies with time and temperature, from calibrations of different days.
+"""Alpha against temperature and time, from calibrations of several days.
 
-days        the calibrations, gathered, checked, put in order
-linear_fit  the line of every actuator through its days, each alone
-scatter     from day to day: of each actuator, of all in common, and days that lie off the law
-family      one physics, each actuator its own deviation
-fit         from days to the law
-law         the result: alpha at any temperature and time, its file, and when to calibrate again
-figures     alpha against temperature and time; the family
-summary     in words and numbers: terminal, script
+days        reads the calibrations, checks them, and puts them in order
+linear_fit  a line for each actuator through its days
+scatter     scatter from day to day, of each actuator and in common; days that are outliers
+population  the common distribution of the coefficients, and actuators that are outliers
+fit         `track`: from days to the law
+law         the result and its file; alpha at any temperature and time; when to calibrate again
+figures     alpha against temperature and time; the coefficients and their population
+summary     text for the terminal, values for JSON
 """
 
 import truenewton.tracking.summary  # noqa: F401  # registers what its results can do

@@ -1,4 +1,4 @@
-"""The calibrations that are tracked: gathered, split by temperature, checked, put in order."""
+"""The calibrations that are tracked: read, split by temperature, checked, put in order of time."""
 
 from __future__ import annotations
 
@@ -28,15 +28,7 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 
 class Named(NamedTuple):
-    """What is tracked, with the name of its file or folder.
-
-    Attributes
-    ----------
-    name
-        As it was given.
-    data
-        What it holds; what cannot be tracked is refused later.
-    """
+    """Calibrations or cycles to be tracked, and the name of their file or folder."""
 
     name: str
     data: Read
@@ -60,35 +52,21 @@ OTHER_UNIT = 0.03
 YEAR = datetime.timedelta(days=365.25)
 
 
-@dataclass(frozen=True, eq=False)
-class DatedCalibration:
-    """A calibration with the middle of its data, at which its alpha holds.
-
-    Attributes
-    ----------
-    name
-        Of its file or folder.
-    calibration
-        As it was read or made.
-    """
+class DatedCalibration(NamedTuple):
+    """A calibration, and the name of its file or folder."""
 
     name: str
     calibration: Calibration
 
     @property
     def date(self) -> datetime.datetime:
-        """The middle of its data."""
+        """The middle of its data, where its alpha holds."""
         c = self.calibration
         return c.date + (c.date_end - c.date) / 2
 
 
 def named(item: Given) -> Named:
-    """Read what is a path; return it with its name.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, CampaignMismatch
-    """
+    """Return the data with a name; read them if a path is given."""
     if isinstance(item, Named):
         return item
     if isinstance(item, str | os.PathLike):
@@ -100,23 +78,18 @@ def named(item: Given) -> Named:
 
 
 def of_one(given: Iterable[Given], segment: int | None) -> list[Named]:
-    """Read what is a path; of mirrors in several segments return that of one.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
-    """
+    """Return the named data of one body; of mirrors in several segments those of one segment."""
     every = (named(item) for item in given)
     return [Named(name, select_segment(data, segment, name)) for name, data in every]
 
 
 def of_all(days: Sequence[Named]) -> Days:
-    """Return days of all segments; an actuator is enabled as it is on the first.
+    """Return the days of all segments.
 
     Raises
     ------
     FormatError, CampaignMismatch
-        They are not all of several segments, or not of one mirror.
+        Some are of one body, or of another mirror.
     """
     first = next(day for day in days if has_parts(day.data))
     mirror: InParts[Any] = first.data  # type: ignore[assignment]
@@ -132,22 +105,22 @@ def of_all(days: Sequence[Named]) -> Days:
     return Days(mirror.instrument, mirror.layout, days)
 
 
-def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
-    """Read and calibrate what is not yet; return the calibrations in the order of time.
+def gather_days(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
+    """Return the calibrations in order of time; cycles are calibrated first.
 
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch, RankDeficient
         Files that cannot be tracked, or not together.
     NotToBeUsed
-        The verdict on one of them, unless forced.
+        One of them is rejected, and ``force`` is not set.
     """
     days = sorted(
         (day for item in given for day in _dated(*named(item))),
         key=lambda day: (day.date, day.calibration.temperature),
     )
     for day in days:
-        _refuse_unfit(day)
+        _refuse_relative(day)
         refuse_unusable(day.calibration, force=force, path=day.name)
     for earlier, day in combinations(days, 2):
         _refuse_other_mirror(earlier, day)
@@ -191,7 +164,7 @@ def _dated(name: str, given: Read) -> list[DatedCalibration]:
 
 
 def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
-    """Split a campaign whose cycles differ by more than 1 K into parts that do not."""
+    """Split a campaign whose cycles differ by more than 1 K; each part has its mean temperature."""
     means = [mean_temperature([cycle]) for cycle in campaign.cycles]
     if not (np.isfinite(means).all() and np.ptp(means) > SAME_TEMPERATURE):
         return [(float(np.mean(means)), campaign)]
@@ -206,7 +179,7 @@ def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
     ]
 
 
-def _refuse_unfit(day: DatedCalibration) -> None:
+def _refuse_relative(day: DatedCalibration) -> None:
     c = day.calibration
     if c.scale == Scale.MEAN_ONE:
         raise FormatError(
@@ -237,14 +210,14 @@ def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None
 
 
 def covariances(calibration: Calibration, on: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return (m, m) covariances of alpha by the readings, and by the weights, of (n,) the m on."""
+    """Return the statistical and the systematic covariance of alpha of the actuators ``on``."""
     at = np.ix_(np.flatnonzero(on), np.flatnonzero(on))
     systematic_covariance = calibration.systematic_covariance[at]
     return calibration.covariance[at] - systematic_covariance, systematic_covariance
 
 
 def weight_groups(days: Sequence[DatedCalibration]) -> list[list[int]]:
-    """Put together the days whose weights and declared errors agree: they share one error."""
+    """Group the indices of days with the same weights and declared errors: they share one error."""
     groups: list[list[int]] = []
     for day_index, day in enumerate(days):
         for group in groups:
@@ -264,11 +237,11 @@ def _same_weights(a: Calibration, b: Calibration) -> bool:
     return weights(a) == weights(b) and (not all(tools) or tools[0] == tools[1])
 
 
-def relative_factor(days: Sequence[DatedCalibration], on: NDArray[np.bool_]) -> Array:
-    """Return (n, m) relative change of alpha by each shared error of the weights: a mean of days.
+def weight_error_factor(days: Sequence[DatedCalibration], on: NDArray[np.bool_]) -> Array:
+    """Return (n, m) relative changes of alpha by m errors of the weights: a mean of the days.
 
-    Taken relative, it does not carry the noise of the single days, and a common factor cancels
-    from every temperature coefficient.
+    Relative changes do not contain the noise of single days, and a common factor cancels from every
+    temperature coefficient.
     """
     parts = []
     for day in days:

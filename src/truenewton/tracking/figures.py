@@ -1,4 +1,4 @@
-"""Figures of tracking: alpha against temperature and time, and the family with who left it."""
+"""Figures of tracking: alpha against temperature and time; coefficients and their population."""
 
 from __future__ import annotations
 
@@ -21,19 +21,10 @@ LABEL = {"temperature": "$k$  (% per K)", "drift": r"$d\,/\,\alpha$  (% per year
 
 
 def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
-    """Draw how alpha of every actuator varies with temperature, or drifts; the other taken out.
+    """Draw how alpha of every actuator varies with one effect, after the other is corrected.
 
-    A point is one day's alpha over alpha at T0 and t0, a line an actuator's law; the band is the
-    family, mean and twice its spread. Who left the family stands in red with error bars (E_STAT).
-
-    Parameters
-    ----------
-    tracking
-        Whose days determine the effect.
-    effect
-        'temperature' or 'drift'.
-    ax
-        Axes to draw on; their own unless given.
+    A point is alpha of one day over alpha at T0 and t0, a line the law of an actuator, the band the
+    population: mean and twice its spread. Outliers are red with error bars (E_STAT).
     """
     t = tracking
     away = np.array([day.temperature - t.temperature for day in t.days])
@@ -54,19 +45,19 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
     on = np.isfinite(t.alpha)
     reach = 0.06 * np.ptp(x)
     ends = np.array([x.min() - reach, x.max() + reach])
-    family = next(f for f in t.families if f.effect == effect)
+    population = next(f for f in t.populations if f.effect == effect)
     shown_x, shown_ends = origin + unit * x, origin + unit * ends
     with styled_axes(ax, 0.8) as ax:
         inside = np.linspace(ends[0], ends[1], 41)
-        low = PERCENT * (family.mean * inside - 2 * family.spread * np.abs(inside))
-        high = PERCENT * (family.mean * inside + 2 * family.spread * np.abs(inside))
+        low = PERCENT * (population.mean * inside - 2 * population.spread * np.abs(inside))
+        high = PERCENT * (population.mean * inside + 2 * population.spread * np.abs(inside))
         ax.fill_between(origin + unit * inside, low, high, color=FAINT, alpha=0.35, linewidth=0)
         ax.plot(shown_ends, PERCENT * np.outer(ends, slope[on & ~outlying]), color=ACCENT,
                 linewidth=0.25, alpha=0.6)  # fmt: skip
         if np.count_nonzero(on) <= NAMED:
             ax.plot(shown_x, y[:, on & ~outlying], "o", color=INK, markersize=1.0, alpha=0.6,
                     markeredgewidth=0)  # fmt: skip
-        ax.plot(shown_ends, PERCENT * family.mean * ends, color=INK, linewidth=1.0)
+        ax.plot(shown_ends, PERCENT * population.mean * ends, color=INK, linewidth=1.0)
         first, last = shown_ends
         ax.set_xlim(first, last + 0.06 * (last - first))  # room for names
         order = np.argsort(x)
@@ -78,26 +69,22 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
             name_point(ax, t.layout.id[one], last, line[-1], 2, color=OUTLYING)
         ax.set_xlabel(label)
         ax.set_ylabel(r"change of $\alpha$ (%)")
-        ax.set_title("band: family, mean ± 2 spreads")
+        ax.set_title("band: population, mean ± 2 spreads")
     return ax
 
 
-def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
-    """Draw one effect of every actuator, ring by ring, and its family.
-
-    Bars are one standard uncertainty; the band is the family, mean and twice its spread. The
-    parameters are those of `plot_law`.
-    """
+def plot_population(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
+    """Draw one effect of every actuator by ring, with bars of 1 sigma, and its population."""
     errors, layout = tracking.errors, tracking.layout
     values = tracking.coefficient if effect == "temperature" else tracking.drift / tracking.alpha
     error = errors[1] if effect == "temperature" else errors[2] / tracking.alpha
     outlying = _outlying(tracking, effect)
-    family = next(f for f in tracking.families if f.effect == effect)
+    population = next(f for f in tracking.populations if f.effect == effect)
     with styled_axes(ax, 0.75) as ax:
         numbers = numbers_by_ring(layout)
-        low, high = family.mean - 2 * family.spread, family.mean + 2 * family.spread
+        low, high = population.mean - 2 * population.spread, population.mean + 2 * population.spread
         ax.axhspan(PERCENT * low, PERCENT * high, color=FAINT, alpha=0.35, linewidth=0)
-        ax.axhline(PERCENT * family.mean, color=INK, linewidth=0.8)
+        ax.axhline(PERCENT * population.mean, color=INK, linewidth=0.8)
         few = layout.n <= NAMED
         for some, colour in ((~outlying, ACCENT), (outlying, OUTLYING)):
             ax.errorbar(numbers[some], PERCENT * values[some], yerr=PERCENT * error[some],
@@ -110,23 +97,23 @@ def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         ax.margins(y=0.12)
         ax.set_ylabel(LABEL[effect])
-        ax.set_title("bars: 1σ; band: family, mean ± 2 spreads")
+        ax.set_title("bars: 1σ; band: population, mean ± 2 spreads")
     return ax
 
 
 def tracking_figures(tracking: Tracking | Parts[Tracking]) -> dict[str, Callable[..., Axes]]:
-    """Return what draws each figure of tracking, by name; it takes axes or none."""
+    """Return functions that draw each figure, by name; they take axes or make their own."""
     figures: dict[str, Callable[..., Axes]] = {}
     for number, law in by_number(tracking).items():
         of_it = f"segment-{number}-" if number else ""
         for effect in law.effects:
             name = "time" if effect == "drift" else effect
             figures[f"{of_it}track-{name}"] = partial(plot_law, law, effect)
-            figures[f"{of_it}track-family-{effect}"] = partial(plot_family, law, effect)
+            figures[f"{of_it}track-population-{effect}"] = partial(plot_population, law, effect)
     return figures
 
 
 def _outlying(tracking: Tracking, effect: str) -> NDArray[np.bool_]:
-    """Return (n,) who left the family by its effect, or lies on no line."""
+    """Return (n,) actuators that are outliers by the effect, or lie on no line."""
     left = [one.actuator for one in tracking.outliers if one.effect in (effect, "line")]
     return np.isin(tracking.layout.id, left)

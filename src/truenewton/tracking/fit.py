@@ -1,4 +1,4 @@
-"""From calibrations of different days to alpha at any temperature and time."""
+"""`track`: from calibrations of several days to alpha at any temperature and time."""
 
 from __future__ import annotations
 
@@ -26,26 +26,27 @@ from truenewton.tracking.days import (
     DatedCalibration,
     Given,
     Named,
-    gathered,
+    gather_days,
     named,
     of_all,
     of_one,
     weight_groups,
 )
-from truenewton.tracking.family import (
-    Family,
-    families_from,
-    fitted_population,
-    most_outlying,
-)
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
 from truenewton.tracking.linear_fit import LinearFit, linear_fit, relative_days
-from truenewton.tracking.scatter import Scatter, scatter_of, widened
+from truenewton.tracking.population import (
+    Population,
+    fit_population,
+    most_outlying,
+    populations_from,
+)
+from truenewton.tracking.scatter import Scatter, estimate_scatter, widen_outlying_day
 
-ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
-PATIENCE = 2  # looks behind an actuator that hides another
-FEW = 3  # degrees of freedom, below which a common scatter is hardly told
-MOST = 0.25  # of the actuators that may leave the family, or there is none
+# Of the squares of one effect, independent of the other: below, the two cannot be separated.
+MIN_INDEPENDENT_FRACTION = 0.01
+MAX_MASKING = 2  # actuators that may mask the next outlier
+MIN_SCATTER_DEGREES = 3  # degrees of freedom below which a common scatter is poorly determined
+MAX_OUTLIER_FRACTION = 0.25  # of the actuators; with more there is no population
 
 
 @overload
@@ -65,29 +66,29 @@ def track(
 def track(
     *given: Given, force: bool = False, segment: int | None = None, processes: int | None = None
 ) -> Tracking | Parts[Tracking]:
-    """Find how alpha varies with temperature and time; of several segments each by itself.
+    """Find how alpha varies with temperature and time; in several segments each by itself.
 
     Parameters
     ----------
     given
-        Calibrations, campaigns, or paths to them, of two days or temperatures at least, in any
-        order. Cycles of one campaign whose temperatures differ by more than 1 K are calibrated
-        apart.
+        Calibrations, campaigns, or paths to them, in any order, of two days or temperatures at
+        least. Cycles of one campaign whose temperatures differ by more than 1 K are calibrated
+        separately.
     force
-        Take calibrations whose verdict is 'rejected', too.
+        Use calibrations with the verdict 'rejected', too.
     segment
-        Number of the only segment that is tracked, of files of a mirror in several.
+        Track only this segment, in files of a mirror in several segments.
     processes
-        As of `calibrate`.
+        As in `calibrate`.
 
     Raises
     ------
     NotToBeUsed
-        The verdict on one of them, unless forced.
+        The verdict on one of them is 'rejected', and ``force`` is not set.
     UnreadableFile, FormatError, CampaignMismatch
         Files that cannot be tracked, or not together.
     RankDeficient
-        One calibration only, or all at one temperature on one day; of all segments.
+        One calibration only, or all at one temperature on one day.
 
     Examples
     --------
@@ -108,7 +109,7 @@ def track(
 
 def _law(given: Sequence[Named], *, force: bool) -> Tracking:
     """Return the law of one body."""
-    days = gathered(given, force=force)
+    days = gather_days(given, force=force)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(
@@ -118,15 +119,15 @@ def _law(given: Sequence[Named], *, force: bool) -> Tracking:
     _refuse_other_units(days, on)
     settings, effects, limits, temperature, date = _settings(days)
     layout = days[0].calibration.layout
-    fit, jumped, scatter, own = _off_their_lines(days, on, settings)
+    fit, jumped, scatter, own = _fit_lines(days, on, settings)
     stay = ~np.isin(layout.id[on], [one.actuator for one in jumped])
-    wider, outlying = widened(days, on, settings, stay)
+    wider, outlying = widen_outlying_day(days, on, settings, stay)
     if outlying:
-        fit, jumped, scatter, own = _off_their_lines(wider, on, settings)
+        fit, jumped, scatter, own = _fit_lines(wider, on, settings)
         limits += (outlying,)
     limits += tuple(_limits_of(days, on, scatter, len(effects)))
     outliers, members = _outliers(fit, effects, layout.id[on], jumped)
-    values, covariance, systematic_covariance, families = _pooled(fit, members, effects)
+    values, covariance, systematic_covariance, populations = _pooled(fit, members, effects)
     law, derivatives = _law_from(values, effects)
     covariance, systematic_covariance = (
         spread_square(derivatives @ matrix @ derivatives.T, np.tile(on, 3))
@@ -143,7 +144,7 @@ def _law(given: Sequence[Named], *, force: bool) -> Tracking:
         covariance=covariance,
         systematic_covariance=systematic_covariance,
         effects=effects,
-        families=families,
+        populations=populations,
         outliers=outliers,
         chi2=fit.chi2,
         degrees_of_freedom=len(fit.alpha) * fit.actuator_degrees,
@@ -161,23 +162,18 @@ def _law(given: Sequence[Named], *, force: bool) -> Tracking:
 
 
 def _refuse_other_units(days: Sequence[DatedCalibration], on: NDArray[np.bool_]) -> None:
-    """Refuse calibrations of two mirrors that share a name: alpha tells them apart.
-
-    Raises
-    ------
-    CampaignMismatch
-    """
+    """Raise `CampaignMismatch` if alpha shows that two mirrors share a name."""
     alpha = np.array([day.calibration.alpha[on] for day in days])
     ratio = alpha / alpha[0]
-    ratio /= np.median(ratio, axis=1)[:, None]  # the scale may be anybody's
+    ratio /= np.median(ratio, axis=1)[:, None]  # the scales may differ
     apart = np.median(np.abs(ratio - 1.0), axis=1)
     error = np.median([day.calibration.reading_error[on] for day in days] / alpha, axis=1)
     excess = apart - OTHER_UNIT - 3 * np.hypot(error, error[0])
     worst = int(np.argmax(excess))
     if excess[worst] > 0.0:
         raise CampaignMismatch(
-            f"alpha of a typical actuator is {100 * apart[worst]:.2g} % off that in"
-            f" {days[0].name}, which no temperature does",
+            f"alpha of a typical actuator differs by {100 * apart[worst]:.2g} % from that in"
+            f" {days[0].name}, more than any temperature explains",
             remedy="track calibrations of one unit",
             path=days[worst].name,
             got=float(apart[worst]),
@@ -187,9 +183,9 @@ def _refuse_other_units(days: Sequence[DatedCalibration], on: NDArray[np.bool_])
 def _settings(
     days: Sequence[DatedCalibration],
 ) -> tuple[Array, tuple[str, ...], tuple[str, ...], float, datetime.datetime]:
-    """Return (J, q) temperature and time of the days from their middle, as far as they determine q.
+    """Return (J, q) temperature and time of the days, relative to their middle.
 
-    With them the names of these effects, what cannot be said, and T0 and t0.
+    Also the q effects that they determine, limitations, T0 and t0.
     """
     first = days[0].date
     seconds = [(day.date - first).total_seconds() for day in days]
@@ -201,20 +197,20 @@ def _settings(
     warm, late = np.ptp(temperatures) > SAME_TEMPERATURE, days[-1].date - first > SAME_TIME
     limits: tuple[str, ...] = ()
     if not np.isfinite(temperature):
-        limits += ("no day holds a temperature: the drift holds whatever temperature did",)
+        limits += ("no day has a temperature: the drift includes effects of temperature",)
     elif not warm:
-        limits += ("all days are at one temperature: how alpha varies with it is not told",)
+        limits += ("all days are at one temperature: the temperature coefficient is not known",)
     if warm and late:
         centred = time - time.mean()
         slope = (away @ centred) / (away @ away)
-        if np.sum((centred - slope * away) ** 2) < ALIKE * np.sum(centred**2):
+        if np.sum((centred - slope * away) ** 2) < MIN_INDEPENDENT_FRACTION * np.sum(centred**2):
             late = False
             limits += (
-                "temperature and time went together: all is put down to temperature, and drift"
-                " is not told",
+                "temperature and time changed together: all changes are assigned to temperature,"
+                " and the drift is not known",
             )
     elif not late:
-        limits += ("all is of one day: drift is not told",)
+        limits += ("all data are of one day: the drift is not known",)
     if not (warm or late):
         raise RankDeficient(
             "all calibrations are of one day and one temperature",
@@ -226,14 +222,14 @@ def _settings(
     return np.stack([*settings.values()], axis=1), tuple(settings), limits, temperature, date
 
 
-def _off_their_lines(
+def _fit_lines(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
 ) -> tuple[LinearFit, list[Outlier], Scatter, Array]:
-    """Fit the lines, and find who lies on none: the worst first, its scatter then allowed for.
+    """Fit the lines, and find actuators that lie on none.
 
-    Readings of all actuators hang together, so one that jumped drags others off their lines. What
-    all scatter by from day to day is no jump; its own degrees of freedom make the test one of
-    Fisher's F. With the fit, the scatter of all, and (n,) of each.
+    The worst is released first, its scatter then included: errors of actuators are correlated, so
+    one that jumped shifts others. Common scatter is no jump; its degrees of freedom make this an F
+    test. Returns the fit, the outliers, the scatter, and the (n,) scatter of each actuator.
     """
     n = int(on.sum())
     ids = days[0].calibration.layout.id[on]
@@ -243,10 +239,10 @@ def _off_their_lines(
     while True:
         scatter = Scatter()
         if len(contrasts):
-            scatter = scatter_of(contrasts, covariance, np.eye(n), stay, common=True)
+            scatter = estimate_scatter(contrasts, covariance, np.eye(n), stay, common=True)
         own = np.where(stay, scatter.own, np.maximum(own, scatter.own))
-        fit = linear_fit(days, on, settings, own, scatter.expanded_common)
-        if not fit.actuator_degrees or len(jumped) >= MOST * n:
+        fit = linear_fit(days, on, settings, own, scatter.common_expanded)
+        if not fit.actuator_degrees or len(jumped) >= MAX_OUTLIER_FRACTION * n:
             return fit, jumped, scatter, own
         worst = int(np.where(stay, fit.actuator_chi2, 0.0).argmax())
         degrees = fit.actuator_degrees
@@ -263,39 +259,40 @@ def _off_their_lines(
 def _limits_of(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], scatter: Scatter, effects: int
 ) -> Iterator[str]:
-    """Yield what else is not told, or not of all."""
+    """Yield further limitations of the law."""
     if len(weight_groups(days)) > 1:
-        yield "weights or their errors differ between days: each set has errors of its own"
+        yield "weights or their errors differ between days: their errors are independent"
     if not on.all():
-        yield f"actuators not enabled on every day are left out: {np.count_nonzero(~on)}"
+        count = counted(int(np.count_nonzero(~on)), "actuator")
+        yield f"left out, since not enabled on every day: {count}"
     if not scatter.degrees:
         yield (
-            f"{counted(days, 'day')} leave nothing over beside the {1 + effects} unknowns of each"
-            " line: what scatter there is from day to day is not told, and none is assumed"
+            f"{counted(days, 'day')} only determine the {1 + effects} unknowns of each line:"
+            " scatter from day to day is not known, and assumed to be zero"
         )
-    elif scatter.degrees < FEW:
+    elif scatter.degrees < MIN_SCATTER_DEGREES:
         yield (
-            f"scatter common to all actuators rests on {counted(scatter.degrees, 'degree')}"
-            f" of freedom: errors are widened for it; more days would"
-            " tell it better"
+            f"scatter common to all actuators has only {counted(scatter.degrees, 'degree')} of"
+            " freedom: errors are enlarged for it; more days would determine it better"
         )
 
 
 def _outliers(
     fit: LinearFit, effects: tuple[str, ...], ids: NDArray[np.int64], jumped: list[Outlier]
 ) -> tuple[tuple[Outlier, ...], NDArray[np.bool_]]:
-    """Find who leaves the family; return all outliers and (q, n) who is a member by each effect.
+    """Return all outliers, and (q, n) the members of the population of each effect.
 
-    The farthest is taken out and the next looked at, so that none hides behind another.
+    The farthest is removed and the next examined, so that one does not mask another.
     """
     q, n = fit.effects.shape
     tests = n * (q + (fit.actuator_degrees > 0))
     members = np.tile(~np.isin(ids, [one.actuator for one in jumped]), (q, 1))
     outliers = [*jumped]
     suspects: list[tuple[int, int, Outlier]] = []
-    while len(suspects) < PATIENCE and members.sum(axis=1).min() > (1 - MOST) * n:
+    least = (1 - MAX_OUTLIER_FRACTION) * n
+    while len(suspects) < MAX_MASKING and members.sum(axis=1).min() > least:
         y, covariance, which = _effects_of(fit, members)
-        population = fitted_population(y, covariance, which)
+        population = fit_population(y, covariance, which)
         at, sigmas, chance = most_outlying(y, covariance, which, population)
         effect, actuator = (int(k[at]) for k in np.nonzero(members))
         mirror = chance_of_any(chance, tests)
@@ -313,21 +310,22 @@ def _outliers(
 def _effects_of(
     fit: LinearFit, members: NDArray[np.bool_]
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return the effects of the members, their covariance, and which effect each is."""
+    """Return the effects of the members, their covariance, and the index of each effect."""
     root = fit.root[fit.alpha.size :][members.ravel()]
     return fit.effects[members], root @ root.T, np.nonzero(members)[0]
 
 
 def _pooled(
     fit: LinearFit, members: NDArray[np.bool_], effects: tuple[str, ...]
-) -> tuple[Array, Array, Array, tuple[Family, ...]]:
-    """Pull the members to their family.
+) -> tuple[Array, Array, Array, tuple[Population, ...]]:
+    """Predict the effects of the members from their population.
 
-    Returns (1 + q, n) alpha and effects, their covariance, its part from the weights, the families.
+    Returns (1 + q, n) alpha and effects, their covariance, its part from the weights, the
+    populations.
     """
     q, n = fit.effects.shape
     y, covariance, which = _effects_of(fit, members)
-    population = fitted_population(y, covariance, which)
+    population = fit_population(y, covariance, which)
     inside = n + np.flatnonzero(members.ravel())
     values = np.concatenate([fit.alpha, fit.effects.ravel()])
     covariance = fit.root @ fit.root.T
@@ -336,14 +334,14 @@ def _pooled(
     of_weights = fit.root[:, (1 + q) * n :]
     of_weights = of_weights - gain @ of_weights[inside]
     covariance = covariance - gain @ covariance[inside]
-    families = families_from(effects, population, members.sum(axis=1))
-    return values, covariance, of_weights @ of_weights.T, families
+    populations = populations_from(effects, population, members.sum(axis=1))
+    return values, covariance, of_weights @ of_weights.T, populations
 
 
 def _law_from(values: Array, effects: tuple[str, ...]) -> tuple[Array, Array]:
     """Return (3, n) alpha, k and d = alpha r, and their (3 n, (1 + q) n) derivatives by ``values``.
 
-    Both are 0 for an effect that the days do not determine.
+    An effect that the days do not determine is 0.
     """
     n = values.shape[1]
     at = np.arange(n)

@@ -1,4 +1,4 @@
-"""What tracking finds: alpha at any temperature and time, its file, and how long it holds."""
+"""The result of tracking: alpha at any temperature and time, its file, and how long it is valid."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from truenewton.records.parts import body_or_parts_from
 from truenewton.records.result import KINDS, Result, ResultKind
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
-from truenewton.tracking.family import Family
+from truenewton.tracking.population import Population
 from truenewton.tracking.scatter import expanded
 
 if TYPE_CHECKING:
     from astropy.table import QTable
 
 
-SAME_TIME = datetime.timedelta(days=1)
+SAME_TIME = datetime.timedelta(days=1)  # within which alpha does not drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class DayRecord:
 
     @property
     def rejected(self) -> bool:
-        """Whether its calibration was rejected, in the words of this or an earlier version."""
+        """Whether the verdict is 'rejected', or its name in an earlier version."""
         return bool(self.verdict) and Level.read(self.verdict) <= Level.REJECTED
 
 
@@ -77,12 +77,12 @@ class Outlier:
     actuator
         ID.
     effect
-        'temperature' or 'drift', its coefficient; 'line', its days lie on no line; 'moved', it no
-        longer agrees with its earlier calibration.
+        'temperature' or 'drift': its coefficient; 'line': its days do not lie on a line; 'moved':
+        it disagrees with its earlier calibration.
     sigmas
-        How far, in standard deviations; for 'line' the root of chi2.
+        Deviation in standard deviations; for 'line' the root of chi2.
     probability
-        That chance alone makes any actuator of the whole mirror stand out as far.
+        That by chance any actuator of the mirror deviates as much.
     """
 
     actuator: int
@@ -98,7 +98,7 @@ class AlphaPrediction:
     Attributes
     ----------
     alpha, error
-        (n,) and its standard uncertainty, everything included: the scatter from day to day, too.
+        (n,) and its standard uncertainty, scatter from day to day included.
     covariance, systematic_covariance
         (n, n) of alpha, and the part from the weights.
     """
@@ -113,37 +113,37 @@ class AlphaPrediction:
 class Tracking(Result):
     """alpha_i(T, t) = alpha_i (1 + k_i (T - T0)) + d_i (t - t0).
 
-    Arrays over actuators are in the order of ``layout``, NaN where an actuator is not enabled in
-    every calibration. An effect that the days cannot tell is 0, without error: ``limits`` says so.
+    Arrays over actuators are in the order of ``layout``, NaN for an actuator that is not enabled in
+    every calibration. An effect that the days do not determine is 0 without error, see ``limits``.
 
     Attributes
     ----------
     instrument, layout
         The mirror.
     temperature, date
-        T0 [deg C], NaN where no day has one; t0 (UTC): the middle of the days.
+        T0 [deg C], NaN if no day has one; t0 (UTC): the middle of the days.
     alpha, coefficient, drift
         (n,) at T0 and t0; k [1/K]; d [1/yr], years of 365.25 days.
     covariance, systematic_covariance
-        (3 n, 3 n) of alpha, k, d; all, and the part from the weights.
+        (3 n, 3 n) of alpha, k, d: total, and the part from the weights.
     effects
         Which of 'temperature' and 'drift' the days determine.
-    families
+    populations
         The population of each of these.
     outliers
-        Actuators that do not belong to it, the surest first.
+        Actuators that do not belong to it, the most significant first.
     chi2, degrees_of_freedom
         Of the days about the lines of the actuators.
     limits
-        What cannot be said, in words.
+        Limitations, in sentences.
     days
-        The calibrations, in the order of time.
+        The calibrations, in order of time.
     scatter
-        (n,) by how much alpha of an actuator scatters from day to day by itself, relative, beyond
-        the readings (see `scatter`); one and the same but for those that lie on no line.
+        (n,) relative scatter of each actuator from day to day, beyond the readings; the same for
+        all that are no outliers.
     common_scatter, scatter_degrees
-        The same of all actuators together, and its degrees of freedom; 0 where there are no more
-        days than unknowns, and nothing is known of either.
+        Scatter of all actuators together, and its degrees of freedom; 0 if there are no more days
+        than unknowns, so that neither scatter is known.
 
     Examples
     --------
@@ -164,7 +164,7 @@ class Tracking(Result):
     covariance: Array
     systematic_covariance: Array
     effects: tuple[str, ...]
-    families: tuple[Family, ...]
+    populations: tuple[Population, ...]
     outliers: tuple[Outlier, ...]
     chi2: float
     degrees_of_freedom: int
@@ -203,13 +203,13 @@ class Tracking(Result):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Coldest and warmest of the days [deg C]; None where they do not tell temperature."""
+        """Lowest and highest temperature of the days [deg C]; None if its effect is not known."""
         degrees = [day.temperature for day in self.days]
         return (min(degrees), max(degrees)) if "temperature" in self.effects else None
 
     @property
     def probability(self) -> float:
-        """Chance of a larger chi2; NaN without degrees of freedom."""
+        """Probability of a larger chi2; NaN without degrees of freedom."""
         degrees = self.degrees_of_freedom
         return float(chi2_sf(self.chi2, degrees)) if degrees else float("nan")
 
@@ -227,25 +227,25 @@ class Tracking(Result):
     def alpha_at(
         self, temperature: float | None = None, time: datetime.datetime | None = None
     ) -> AlphaPrediction:
-        """Return alpha on a day, at a temperature and a time, with its uncertainty.
+        """Return alpha at a temperature and a time, with its uncertainty.
 
         Parameters
         ----------
         temperature
-            [deg C]; T0 unless given.
+            [deg C]; T0 by default.
         time
-            UTC; t0 unless given.
+            UTC; t0 by default.
 
         Raises
         ------
         RankDeficient
-            What is asked for lies where the days say nothing.
+            The days do not determine the effect of this temperature or time.
         """
         away = 0.0 if temperature is None else float(temperature) - self.temperature
         if "temperature" not in self.effects and not abs(away) <= SAME_TEMPERATURE:
             raise RankDeficient(
-                f"alpha at {temperature:g} deg C is not known: the days do not tell how it varies"
-                " with temperature",
+                f"alpha at {temperature:g} deg C is not known: the days do not determine how it"
+                " varies with temperature",
                 remedy="add a calibration at another temperature",
             )
         time = self.date if time is None else time
@@ -253,7 +253,7 @@ class Tracking(Result):
         first, last = self.days[0].date - SAME_TIME, self.days[-1].date + SAME_TIME
         if "drift" not in self.effects and not first <= time <= last:
             raise RankDeficient(
-                f"alpha on {time:%Y-%m-%d} is not known: the days do not tell how it drifts",
+                f"alpha on {time:%Y-%m-%d} is not known: the days do not determine its drift",
                 remedy="add a calibration of another time",
             )
         years, n = (time - self.date) / YEAR, self.layout.n
@@ -294,7 +294,7 @@ FAMILIES = TableFormat(
     "FAMILIES",
     (
         Column("EFFECT", "effect", kind="str", width=11),
-        Column("UNIT", lambda family: UNITS[family.effect], kind="str", width=4),
+        Column("UNIT", lambda population: UNITS[population.effect], kind="str", width=4),
         Column("MEAN", "mean"),
         Column("E_MEAN", "mean_error"),
         Column("MEAN_LO", "mean_interval.0"),
@@ -304,7 +304,7 @@ FAMILIES = TableFormat(
         Column("SPREAD_HI", "spread_interval.1"),
         Column("MEMBERS", "members", kind="int"),
     ),
-    of="families",
+    of="populations",
 )
 DEPARTURES = TableFormat(
     "DEPARTURES",
@@ -357,14 +357,7 @@ TRACKING = FileFormat(
 
 
 def read_tracking(path: str | os.PathLike[str], *, segment: int | None = None) -> Tracking:
-    """Read a tracking file; of a mirror in several segments that of one.
-
-    Parameters
-    ----------
-    path
-        The tracking file, as `Tracking.write` writes it.
-    segment
-        Number of the one.
+    """Read a tracking file, as `Tracking.write` writes it; ``segment`` selects one of several.
 
     Raises
     ------
@@ -382,20 +375,14 @@ def read_tracking(path: str | os.PathLike[str], *, segment: int | None = None) -
 
 
 def tracking_from(file: FitsFile) -> Tracking:
-    """Return what a tracking file holds.
-
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a tracking file.
-    """
+    """Return the law of an open tracking file."""
     values = file.values(TRACKING, MAX_NUMBER)
     alpha = values["alpha"]
     file.require_covariances(3 * alpha.size, "ALPHA, K and DRIFT", "track again")
     if not values["days"]["name"]:
         raise FormatError("DAYS is empty", remedy="track again", path=file.path)
     values["layout"]["enabled"] = file.enabled(alpha, "track again")
-    values["effects"] = values["families"]["effect"]
+    values["effects"] = values["populations"]["effect"]
     return file.filled(Tracking, values)
 
 
@@ -421,33 +408,30 @@ KINDS[Tracking] = TRACKINGS
 
 @dataclass(frozen=True)
 class Validity:
-    """How long alpha holds to a wanted accuracy.
+    """How long alpha is valid for a wanted accuracy.
 
-    Errors of the weights are left out: a new calibration with the same weights would repeat them.
-    Nothing is promised where no day has been: temperatures end with those of the days, and times
-    as long after the last day as the days lasted.
+    Errors of the weights are not included: the same weights would repeat them. Nothing is
+    extrapolated: temperatures are limited to those of the days, times to one duration of the days
+    after the last.
 
     Attributes
     ----------
     accuracy
-        Wanted: standard uncertainty relative to alpha, root mean square over actuators.
+        Wanted: standard uncertainty relative to alpha, rms over actuators.
     now
-        What the latest calibration has.
-    temperatures
-        Between which the latest calibration holds as it is, on its day [deg C]; None where its
-        effect is not known.
-    until
-        When it ceases to hold at its temperature; None where drift is not known.
+        Accuracy of the latest calibration.
+    temperatures, until
+        Temperatures [deg C] between which, and the date (UTC) until which, the latest calibration
+        is valid without correction; None if the effect is not known.
     law_temperatures, law_until
-        The same for `Tracking.alpha_at`, which takes temperature and time into account.
+        The same for `Tracking.alpha_at`, which corrects for temperature and time.
     reach, reach_until
-        The temperatures of the days, and the last date that they tell of: no promise goes beyond.
-        None where the effect is not known.
+        The limits of extrapolation; None if the effect is not known.
 
     Examples
     --------
     >>> validity = tn.validity_of(tn.track(calibration, warm), accuracy=0.005)
-    >>> validity.until is None  # nothing tells the drift
+    >>> validity.until is None  # one day does not determine the drift
     True
     """
 
@@ -462,19 +446,18 @@ class Validity:
 
 
 def validity_of(tracking: Tracking, accuracy: float) -> Validity:
-    """Return how far from its temperature and date the latest calibration holds.
+    """Return how far from its temperature and date the latest calibration is valid.
 
-    Used as it is, it is off by k (T - T_last) + d (t - t_last) beside its E_STAT, and by the
-    scatter of its day and of the other; the mean over actuators of the square of all is a parabola
-    in T - T_last and in t - t_last. So is that of what the law itself is uncertain by, and of the
-    scatter of a day about it, in T - T0 and t - t0.
+    Without correction it is off by k (T - T_last) + d (t - t_last), its E_STAT, and the scatter of
+    two days; the mean square over actuators is a parabola in T - T_last and in t - t_last. The
+    uncertainty of the law, with the scatter of one day, is a parabola in T - T0 and t - t0.
 
     Parameters
     ----------
     tracking
         The law.
     accuracy
-        Wanted: standard uncertainty relative to alpha, root mean square over actuators.
+        Wanted: standard uncertainty relative to alpha, rms over actuators.
 
     Examples
     --------
@@ -518,15 +501,15 @@ def validity_of(tracking: Tracking, accuracy: float) -> Validity:
 
 
 def _scatter_variance(tracking: Tracking) -> float:
-    """Return the mean square of what a day scatters by about the law."""
+    """Return the mean square scatter of a day about the law."""
     common = expanded(tracking.common_scatter, tracking.scatter_degrees)
     return float(np.nanmean(tracking.scatter**2)) + common**2
 
 
 def _law_variance(tracking: Tracking) -> Array:
-    """Return (3, 3) the mean relative variance of alpha_at as a form in (1, T - T0, t - t0).
+    """Return (3, 3) the mean relative variance of `alpha_at` as a form in (1, T - T0, t - t0).
 
-    The readings' part and the scatter of days; k multiplies alpha, d does not.
+    It includes the readings and the scatter of days; k multiplies alpha, d does not.
     """
     on, n = np.isfinite(tracking.alpha), tracking.layout.n
     alpha = tracking.alpha[on]
@@ -539,7 +522,7 @@ def _law_variance(tracking: Tracking) -> Array:
 
 
 def _roots(form: Array, limit: float, axis: int, other: float) -> tuple[float, float] | None:
-    """Return where the form meets the limit along one axis; None where it never stays below."""
+    """Return where the form equals the limit along one axis; None if it is always above."""
     at = np.array([1.0, 0.0, 0.0])
     at[3 - axis] = other
     a, b, c = form[axis, axis], form[axis] @ at, at @ form @ at - limit

@@ -1,12 +1,12 @@
-"""The line of every actuator through its days, each alone; how well the days lie on it.
+"""A line for each actuator through its days, and how well the days agree with it.
 
-With the temperature T and the time t counted from the middle of the days,
+With temperature T and time t relative to the middle of the days,
 
     alpha_i(T, t) = a_i (1 + k_i T + r_i t)
 
 is linear in a, a k and a r. Days enter with the covariance of their readings over all actuators.
-An error of a weight is one unknown for all days that share it, measured as 0 +- 1: it multiplies
-the whole law, so that k and r do not feel it where all days share it.
+Each error of a weight is an unknown, measured as 0 +- 1, that all days with this weight share. It
+multiplies the whole law, so k and r do not depend on it if all days share it.
 """
 
 from __future__ import annotations
@@ -21,29 +21,31 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.linalg import LeastSquares, least_squares
-from truenewton.tracking.days import DatedCalibration, covariances, relative_factor, weight_groups
+from truenewton.tracking.days import (
+    DatedCalibration,
+    covariances,
+    weight_error_factor,
+    weight_groups,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearFit:
-    """What the days say of each actuator by itself, before the population is asked.
+    """The lines of all actuators, without a population.
 
     Attributes
     ----------
-    alpha
-        (n,) a, at the middle of the days.
-    effects
-        (q, n) relative change of alpha per unit of each effect, as k and r.
+    alpha, effects
+        (n,) a in the middle of the days, and (q, n) k and r.
     root
-        ((1 + q) n, u) covariance of a, then of the effects, is root root'; its first (1 + q) n
-        columns are the part from the readings, the others the errors of the weights.
+        ((1 + q) n, u) root of the covariance of a and effects: first (1 + q) n columns from the
+        readings, then one for each error of the weights.
     chi2
-        Of the days about their lines.
+        Of all days about their lines.
     own_scatter
-        (n,) how far each actuator's days scatter about its line, relative to alpha.
+        (n,) rms relative deviation of each actuator from its line.
     actuator_chi2, actuator_degrees
-        (n,) the share of each actuator, chi-squared distributed given all others; its degrees of
-        freedom, days less parameters.
+        (n,) chi2 of each actuator given all others; its degrees of freedom, days less parameters.
     """
 
     alpha: Array
@@ -64,23 +66,14 @@ def linear_fit(
 ) -> LinearFit:
     """Fit the lines of all actuators at once.
 
-    Parameters
-    ----------
-    days
-        J calibrations.
-    on
-        (n_all,) the actuators that take part; n of them.
-    settings
-        (J, q) temperature and time of the days, counted from their middle.
-    scatter
-        (n,) standard deviation of each actuator about its line, relative, beside the readings.
-    common
-        The same of all actuators together, from day to day.
+    ``on`` are the n enabled actuators, ``settings`` (J, q) temperature and time of the days
+    relative to their middle, ``scatter`` the (n,) relative standard deviation of each actuator
+    about its line beyond the readings, ``common`` that of all together.
 
     Raises
     ------
     RankDeficient
-        The settings cannot tell the effects apart.
+        The settings do not separate the effects.
     """
     alpha = np.array([day.calibration.alpha[on] for day in days])
     count, n = alpha.shape
@@ -105,7 +98,7 @@ def linear_fit(
     root = solution.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
     root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
     root[0] *= mean[:, None]
-    off = directions_off(settings)
+    off = contrast_directions(settings)
     degrees = off.shape[1]
     return LinearFit(
         alpha=a * mean,
@@ -118,24 +111,24 @@ def linear_fit(
     )
 
 
-def directions_off(settings: Array) -> Array:
-    """Return (J, f) orthonormal directions of the days that no law of (J, q) settings touches."""
+def contrast_directions(settings: Array) -> Array:
+    """Return (J, f) orthonormal combinations of the days that are independent of any law."""
     design = np.column_stack([np.ones(len(settings)), settings])
     return np.asarray(scipy.linalg.null_space(design.T))
 
 
 @dataclass(frozen=True, eq=False)
 class RelativeDays:
-    """The days relative to alpha, and what is known of their errors.
+    """The days relative to the mean alpha, with their errors.
 
     Attributes
     ----------
     values
         (J, n) alpha over its mean.
     readings
-        (J, n, n) their covariance by the readings.
+        (J, n, n) covariance by the readings.
     changes
-        (J, n, m) by m errors of the weights, at 1 sigma.
+        (J, n, m) changes by m errors of the weights, at 1 sigma.
     settings
         (J, q) temperature and time.
     """
@@ -151,20 +144,14 @@ class RelativeDays:
         return RelativeDays(*(each[others] for each in vars(self).values()))
 
     def contrasts(self) -> tuple[Array, Array]:
-        """Return (f, n) contrasts that no law touches (see `scatter`), and (f, n, n).
-
-        The latter is what is known of their covariance.
-        """
-        off = directions_off(self.settings)
+        """Return (f, n) contrasts independent of any law (see `scatter`), and their covariance."""
+        off = contrast_directions(self.settings)
         size = np.einsum("jaa->j", self.readings)
         return self._along(off @ np.linalg.eigh((off.T * size) @ off)[1])
 
     def contrast_of(self, day: int) -> tuple[Array, Array, float]:
-        """Return (n,) how a day is off the law of the others, (n, n), and the share it has in it.
-
-        Of what is known by the readings; a scatter of the days adds as to any contrast.
-        """
-        off = directions_off(self.settings)
+        """Return (n,) deviations of a day from the law of the others, covariance, and its share."""
+        off = contrast_directions(self.settings)
         share = float(np.linalg.norm(off[day]))
         contrasts, covariance = self._along(off @ off[day, :, None] / share)
         return contrasts[0], covariance[0], share
@@ -178,7 +165,7 @@ class RelativeDays:
 def relative_days(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
 ) -> RelativeDays:
-    """Put days at (J, q) settings relative to their mean alpha, of the (n_all,) who take part."""
+    """Return the days relative to their mean alpha, of the actuators ``on``."""
     alpha = np.array([day.calibration.alpha[on] for day in days])
     mean = alpha.mean(axis=0)
     design = np.column_stack([np.ones(len(alpha)), settings])
@@ -190,7 +177,7 @@ def relative_days(
 def _relative(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], alpha: Array
 ) -> Iterator[Array]:
-    """Yield each day's (n, n) covariance by the readings, relative to (n,) alpha."""
+    """Yield the (n, n) statistical covariance of each day, relative to (n,) alpha."""
     return (covariances(day.calibration, on)[0] / np.outer(alpha, alpha) for day in days)
 
 
@@ -199,12 +186,12 @@ def _changes_by_weights(
 ) -> Array:
     """Return (J, n, m) changes of the (J, n) days by m errors of the weights, at 1 sigma.
 
-    They multiply the law; taken from the readings they would carry noise.
+    They multiply the fitted law, not the readings, which would add noise.
     """
     law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
     changes = [np.zeros((*y.shape, 0))]
     for group in weight_groups(days):
-        factor = relative_factor([days[k] for k in group], on)
+        factor = weight_error_factor([days[k] for k in group], on)
         changed = np.zeros((*y.shape, factor.shape[1]))
         changed[group] = law[group] * factor
         changes.append(changed)
@@ -216,20 +203,17 @@ def _inverse_root(day: DatedCalibration, covariance: Array) -> Array:
     try:
         lower = scipy.linalg.cholesky(covariance, lower=True)
     except np.linalg.LinAlgError:
-        raise FormatError(
-            "COVARIANCE less SYSTEMATIC is no covariance",
-            remedy="calibrate again",
-            path=day.name,
-        ) from None
+        fault = "COVARIANCE less SYSTEMATIC is no covariance"
+        raise FormatError(fault, remedy="calibrate again", path=day.name) from None
     return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
 
 
 def _share(solution: LeastSquares, roots: Array, off: Array) -> Array:
-    """Return (n,) chi2 of the days of one actuator given all others.
+    """Return (n,) chi2 of the days of each actuator given all others.
 
     Columns Z that shift each day of the actuator freely would lower chi2 by s' (Z' M Z)^+ s, with
-    s = Z' residual and M the projection off the columns of the fit; whatever law the actuator
-    itself obeys is left out of the rank, the columns of ``off`` being orthogonal to it.
+    s = Z' residual and M the projection off the columns of the fit. ``off`` restricts the shifts to
+    those that the law of the actuator does not explain.
     """
     count, n = roots.shape[:2]
     residual = solution.residual[: count * n].reshape(count, n)

@@ -1,32 +1,32 @@
-"""How alpha scatters from day to day, beyond what the readings explain.
+"""Scatter of alpha from day to day, beyond the noise of the readings.
 
 On day j, relative to the law of actuator i,
 
     alpha_i(j) = alpha_i(T_j, t_j) (1 + c_j + e_ij),    c ~ N(0, s_c^2),    e ~ N(0, s^2):
 
-a scatter c of the day, common to all, and one of each actuator by itself. Contrasts of the days
-that no law touches, y_p = sum_j N_jp alpha_j with N'N = 1, hold nothing else:
+c is common to all actuators on that day, e is independent. Contrasts of the days
+y_p = sum_j N_jp alpha_j, N'N = 1, that are independent of any law contain nothing else:
 
     y_p ~ N(0, V_p),    V_p = C_p + s^2 1 + s_c^2 11',
 
-C_p being the covariance of their readings. The likelihood of such contrasts is the restricted one
-(Patterson and Thompson, Biometrika 58, 1971). N is turned so that contrasts are uncorrelated where
-the covariances of the days are in proportion; where they are not, what correlation is left is
-neglected, which biases no estimate.
+with C_p the covariance of the readings. Their likelihood is the restricted one (Patterson and
+Thompson, Biometrika 58, 1971). N is rotated so that contrasts are uncorrelated if the covariances
+of the days are proportional. If they are not, the remaining correlation is neglected, which biases
+no estimate.
 
-Actuators that changed must not pass for scatter: by a first estimate, from the median of the
-actuators, those far off are set free, and the likelihood is that of the others.
+Actuators that changed must not increase the scatter: those far off, by a first estimate from the
+median of the actuators, are left free, and the likelihood is that of the others.
 
-A day may lie off the law of the others (`widened`), all its actuators or their common scale. This
-is judged from the scatter of the other days alone: a day that is off makes a scatter of its own,
-behind which it would hide, and the actuator farthest off on that day would be named. How it differs
-from the law of the others, y ~ N(0, V) by its readings and theirs (`RelativeDays.contrast_of`), has
-a mean m, and the rest about it; with s and s_c of the other days,
+A whole day may be an outlier (`widen_outlying_day`), in each actuator or in the common scale. It is
+judged by the scatter of the other days alone; otherwise it would be hidden by the scatter that it
+causes, and the actuator farthest off on that day would be named. Its deviation from the law of the
+others, y ~ N(0, V) by the readings (`RelativeDays.contrast_of`), has a mean m and a remainder. With
+s and s_c of the other days,
 
     m^2 / (1'V1 / n^2 + s^2 / n + s_c^2)  ~  F(1, f - 1),
     (y - c)' (V + s^2)^-1 (y - c) / (n - 1)  ~  F(n - 1, nu of s^2),
 
-c being what is common, by that matrix.
+where c is the common part, weighted by that matrix.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_ppf, chi2_sf, f_s
 from truenewton.errors import NotConverged
 from truenewton.rounding import percent
 from truenewton.tracking.days import DatedCalibration
-from truenewton.tracking.linear_fit import RelativeDays, relative_days
+from truenewton.tracking.linear_fit import relative_days
 
-STEPS = 200
-FREE = 1e8  # of the variance of a typical contrast: of a shift that may be anything
+MAX_ITERATIONS = 200
+UNCONSTRAINED = 1e8  # prior variance of a free shift, in variances of a typical contrast
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,10 @@ class Scatter:
 
     Attributes
     ----------
-    own
-        s, of each actuator by itself.
-    own_variance_error
-        Standard uncertainty of s^2.
-    common
-        s_c, of all together.
-    degrees
-        Of freedom of s_c: contrasts of the days; 0 where there are none, and nothing is known.
+    own, own_variance_error
+        s, of each actuator independently; standard uncertainty of s^2.
+    common, degrees
+        s_c, common to all, and its degrees of freedom; 0 if it cannot be estimated.
     """
 
     own: float = 0.0
@@ -72,34 +68,30 @@ class Scatter:
     degrees: int = 0
 
     @property
-    def expanded_common(self) -> float:
+    def common_expanded(self) -> float:
         """s_c as `expanded`."""
         return expanded(self.common, self.degrees)
 
     def degrees_of(self, variance: float) -> float:
-        """Degrees of freedom of a variance that s^2 is part of (Satterthwaite)."""
+        """Return the degrees of freedom of a variance that contains s^2 (Satterthwaite)."""
         error = self.own_variance_error
         return 2.0 * (variance / error) ** 2 if error else np.inf
 
 
 def expanded(scatter: float, degrees: int) -> float:
-    """Return a standard deviation of few degrees of freedom, so that 1.96 times it holds 95 %."""
+    """Return a standard deviation, enlarged so that 1.96 times it covers 95 %."""
     if not degrees:
         return scatter
     return scatter * float(t_isf(0.025, degrees) / normal_isf(0.025))
 
 
-def largest_likelihood(
+def maximise_likelihood(
     likelihood: Callable[[Array], tuple[float, Array, Array]], start: Array, unit: Array
 ) -> tuple[Array, Array]:
-    """Return the (q,) variances of the largest likelihood, none below 0, and their information.
+    """Return the (q,) variances >= 0 that maximise a likelihood, and their (q, q) information.
 
-    Parameters
-    ----------
-    likelihood
-        From (q,) variances to the logarithm, its (q,) derivatives, and the (q, q) information.
-    start, unit
-        (q,) to begin with, and what counts as large.
+    ``likelihood`` returns the logarithm, its derivatives and the information; ``unit`` are (q,)
+    large variances.
 
     Raises
     ------
@@ -107,7 +99,7 @@ def largest_likelihood(
     """
     variance = start
     value, score, information = likelihood(variance)
-    for _ in range(STEPS):
+    for _ in range(MAX_ITERATIONS):
         free = (variance > 0.0) | (score > 0.0)
         step = np.zeros_like(variance)
         step[free] = np.linalg.solve(information[np.ix_(free, free)], score[free])
@@ -121,11 +113,11 @@ def largest_likelihood(
         if moved.max() < 1e-8:
             return variance, information
     raise NotConverged(
-        "the spread of the family does not settle", remedy="give more days or fewer effects"
+        "the spread of the population did not converge", remedy="give more days or fewer effects"
     )
 
 
-def scatter_of(
+def estimate_scatter(
     y: Array, covariance: Array, shift: Array, stay: NDArray[np.bool_], *, common: bool
 ) -> Scatter:
     """Estimate the scatter from contrasts of the days.
@@ -135,24 +127,25 @@ def scatter_of(
     y, covariance
         (f, m) contrasts, and the (f, m, m) covariance of the readings in each.
     shift
-        (m, n) what relative changes of the n actuators add to a contrast.
+        (m, n) changes of a contrast by relative changes of the n actuators.
     stay
-        (n,) who is looked at; the others may have changed by anything.
+        (n,) actuators that are used; the others may have changed by any amount.
     common
-        Whether there is a scatter common to all, too.
+        Whether to estimate a common scatter, too.
     """
     size = float(np.mean(np.einsum("pii->pi", covariance)) / np.mean(np.sum(shift**2, axis=1)))
     own, together = shift @ shift.T, np.outer(shift.sum(axis=1), shift.sum(axis=1))
-    freed = covariance + FREE * size * (shift[:, ~stay] @ shift[:, ~stay].T)
-    suspects = _standing_out(y, freed + FREE * size * together if common else freed, shift, stay)
-    freed = freed + FREE * size * (shift[:, suspects] @ shift[:, suspects].T)
+    freed = covariance + UNCONSTRAINED * size * (shift[:, ~stay] @ shift[:, ~stay].T)
+    with_common = freed + UNCONSTRAINED * size * together if common else freed
+    suspects = _outlying_actuators(y, with_common, shift, stay)
+    freed = freed + UNCONSTRAINED * size * (shift[:, suspects] @ shift[:, suspects].T)
     parts = [own, together] if common else [own]
 
     def likelihood(variance: Array) -> tuple[float, Array, Array]:
         return _likelihood(variance, y, freed, parts)
 
     unit = np.array([size, size][: len(parts)])
-    variance, information = largest_likelihood(likelihood, unit, unit)
+    variance, information = maximise_likelihood(likelihood, unit, unit)
     return Scatter(
         own=float(np.sqrt(variance[0])),
         own_variance_error=float(np.sqrt(np.linalg.inv(information)[0, 0])),
@@ -161,10 +154,10 @@ def scatter_of(
     )
 
 
-def _standing_out(
+def _outlying_actuators(
     y: Array, covariance: Array, shift: Array, stay: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return (n,) who is farther off than a scatter that holds for the median lets expect."""
+    """Return (n,) actuators farther off than the scatter of the median actuator explains."""
     middle = float(chi2_ppf(0.5, len(y)))
     own = shift @ shift.T
 
@@ -208,80 +201,57 @@ def _likelihood(
     return value, score, information
 
 
-OFF = (  # whether each by itself, or all in common; what to say
-    (True, "each actuator in its own way: see how it was taken, or leave it out"),
+OFF = (  # whether actuators differ; the sentence
+    (True, "each actuator differently: check how it was measured, or leave it out"),
     (False, "all actuators alike: check its weights, temperature and date, or leave it out"),
 )
 
 
-def widened(
+def widen_outlying_day(
     days: tuple[DatedCalibration, ...],
     on: NDArray[np.bool_],
     settings: Array,
     stay: NDArray[np.bool_],
 ) -> tuple[tuple[DatedCalibration, ...], str]:
-    """Return the days, of which the one that lies off may be off by as much, and say so.
+    """Return the days, with larger errors of one that is an outlier, and a sentence about it.
 
-    ``stay``, (n,), are the actuators that are looked at. Days among which none lies off come back
-    as they are, with ''.
+    ``stay``: (n,) actuators that are used. If no day is an outlier, the sentence is ''.
     """
-    found = _outlying(days, on, settings, stay)
-    if found is None:
-        return days, ""
-    j, size, own, words = found
-    c = days[j].calibration
-    covariance, n = c.covariance.copy(), c.layout.n
-    covariance[:n, :n] += size**2 * (np.diag(c.alpha**2) if own else np.outer(c.alpha, c.alpha))
-    wider = replace(days[j], calibration=replace(c, covariance=covariance))
-    said = f"{days[j].name} lies off the law of the other days by {percent(size)}, {words}"
-    return (*days[:j], wider, *days[j + 1 :]), said
-
-
-def _outlying(
-    days: Sequence[DatedCalibration],
-    on: NDArray[np.bool_],
-    settings: Array,
-    stay: NDArray[np.bool_],
-) -> tuple[int, float, bool, str] | None:
-    """Return the day that lies farthest off, by how much, whether each by itself, and words."""
     if len(days) < settings.shape[1] + 3:
-        return None
+        return days, ""
     relative = relative_days(days, on, settings)
-    offs = [_off(relative, stay, j) for j in range(len(days))]
+    contrasts = [
+        (y[stay], v[np.ix_(stay, stay)], share)
+        for y, v, share in map(relative.contrast_of, range(len(days)))
+    ]
     for own, words in OFF:
-        sizes = np.array([np.mean((y - m) ** 2) if own else m**2 for y, _, m, _, _ in offs])
-        j = int(sizes.argmax())
-        y, v, m, variance, share = offs[j]
+        sizes = [float(np.var(y) if own else y.mean() ** 2) for y, _, _ in contrasts]
+        j = int(np.argmax(sizes))
+        y, v, share = contrasts[j]
         rest = relative.without(j).contrasts()
-        scatter = scatter_of(*rest, np.eye(len(stay)), stay, common=True)
-        chance = (
-            _chance_of_all(y, v, scatter)
-            if own
-            else _chance_of_common(m, variance, len(y), scatter)
-        )
+        scatter = estimate_scatter(*rest, np.eye(len(stay)), stay, common=True)
+        chance = (_chance_of_own if own else _chance_of_common)(y, v, scatter)
         if chance_of_any(chance, len(OFF) * len(days)) < FALSE_ALARM:
-            return j, float(np.sqrt(sizes[j]) / share), own, words
-    return None
+            size, c = np.sqrt(sizes[j]) / share, days[j].calibration
+            covariance, n = c.covariance.copy(), c.layout.n
+            shape = np.diag(c.alpha**2) if own else np.outer(c.alpha, c.alpha)
+            covariance[:n, :n] += size**2 * shape
+            wider = days[j]._replace(calibration=replace(c, covariance=covariance))
+            said = (
+                f"{wider.name} differs from the law of the other days by {percent(size)}, {words}"
+            )
+            return (*days[:j], wider, *days[j + 1 :]), said
+    return days, ""
 
 
-def _off(
-    relative: RelativeDays, stay: NDArray[np.bool_], day: int
-) -> tuple[Array, Array, float, float, float]:
-    """Return how a day is off, its covariance, the mean and its variance, the share it has."""
-    contrast, covariance, share = relative.contrast_of(day)
-    y, v = contrast[stay], covariance[np.ix_(stay, stay)]
-    return y, v, float(y.mean()), float(v.mean()), share
-
-
-def _chance_of_all(y: Array, v: Array, scatter: Scatter) -> float:
+def _chance_of_own(y: Array, v: Array, scatter: Scatter) -> float:
     v = v + scatter.own**2 * np.eye(len(y))
-    # What is common is not asked: it may be anything.
-    one = np.linalg.solve(v, np.ones(len(y)))
+    one = np.linalg.solve(v, np.ones(len(y)))  # the common part is free
     chi2 = float(y @ np.linalg.solve(v, y) - (one @ y) ** 2 / one.sum())
     degrees = scatter.degrees_of(float(np.mean(np.diag(v))))
     return float(f_sf(chi2 / (len(y) - 1), len(y) - 1, degrees))
 
 
-def _chance_of_common(mean: float, variance: float, actuators: int, scatter: Scatter) -> float:
-    variance += scatter.common**2 + scatter.own**2 / actuators
-    return float(f_sf(mean**2 / variance, 1, scatter.degrees))
+def _chance_of_common(y: Array, v: Array, scatter: Scatter) -> float:
+    variance = float(v.mean()) + scatter.common**2 + scatter.own**2 / len(y)
+    return float(f_sf(float(y.mean()) ** 2 / variance, 1, scatter.degrees))

@@ -1,4 +1,4 @@
-"""How alpha varies, in words for people and in figures for scripts."""
+"""The law in text for the terminal, and in values for JSON."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from truenewton.calibration.summary import row
 from truenewton.files.format import attributes, columns_by_name
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import Summary, summary_of
-from truenewton.rounding import by_chance, counted, numbered, with_error
+from truenewton.rounding import chance_text, counted, numbered, with_error
 from truenewton.tracking.law import ACTUATORS, DAYS, Tracking, Validity, validity_of
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
-    "temperature": "by temperature",
-    "drift": "by its drift",
-    "line": "its days lie on no line",
+    "temperature": "temperature coefficient {} sigma from the population",
+    "drift": "drift {} sigma from the population",
+    "line": "its days are {} sigma from a line",
 }
-MOST_ROWS, FIRST_ROWS = 60, 10  # of the table of actuators; of a longer one only the first
+MAX_ROWS, FIRST_ROWS = 60, 10  # of the table of actuators; of a longer one only the first
 
 
 def lines(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> Iterator[str]:
-    """Yield what was found, for people, and how long it holds to an accuracy."""
+    """Yield the lines of the terminal; with an accuracy also how long the law is valid."""
     t = tracking
     if has_parts(t):
         yield from _lines_of_parts(t, accuracy)
@@ -45,7 +45,7 @@ def lines(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> Itera
 
 
 def headline(tracking: Tracking) -> str:
-    """Return what was tracked, from how many days."""
+    """Return the mirror, the number of calibrations and their dates."""
     t, first, last = tracking, tracking.days[0].date, tracking.days[-1].date
     return (
         f"{t.instrument}: {len(t.days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d},"
@@ -63,12 +63,12 @@ def _summary(tracking: Tracking | Parts[Tracking]) -> Summary | None:
 def summary_rows(tracking: Tracking) -> Iterator[tuple[str, str]]:
     """Yield name and value of what is common to the actuators."""
     t = tracking
-    for family in t.families:
-        unit, (low, high) = UNITS[family.effect], family.spread_interval
-        mean = with_error(100 * family.mean, 100 * family.mean_error)
+    for population in t.populations:
+        unit, (low, high) = UNITS[population.effect], population.spread_interval
+        mean = with_error(100 * population.mean, 100 * population.mean_error)
         within = f"95 % within {100 * low:.2g} .. {100 * high:.2g}"
-        yield (f"{family.effect}, mean", f"{mean} {unit}")
-        yield ("  spread of actuators", f"{100 * family.spread:.2g} {unit}, {within}")
+        yield (f"{population.effect}, mean", f"{mean} {unit}")
+        yield ("  spread of actuators", f"{100 * population.spread:.2g} {unit}, {within}")
     if t.scatter_degrees:
         own, common = (f"{100 * s:.2g} %" for s in (np.nanmedian(t.scatter), t.common_scatter))
         degrees = f"{t.scatter_degrees} degree{'s' * (t.scatter_degrees > 1)} of freedom"
@@ -79,19 +79,18 @@ def summary_rows(tracking: Tracking) -> Iterator[tuple[str, str]]:
 
 
 def remarks(tracking: Tracking) -> Iterator[str]:
-    """Yield who left the family, what is wrong, and what cannot be said."""
+    """Yield outliers, warnings and limitations."""
     t = tracking
     for one in t.outliers:
-        yield (
-            f"LEFT THE FAMILY: actuator {one.actuator}, {OUTLYING[one.effect]},"
-            f" {abs(one.sigmas):.1f} sigma; {by_chance(one.probability)}"
-        )
+        deviation = OUTLYING[one.effect].format(f"{abs(one.sigmas):.1f}")
+        chance = chance_text(one.probability)
+        yield f"OUTLIER: actuator {one.actuator}, {deviation} ({chance})"
     if not t.outliers:
-        yield "nobody leaves the family (false alarm on at most 1 % of mirrors)"
+        yield "no outliers (false alarms on at most 1 % of mirrors)"
     if t.probability < 1e-3:
         yield (
-            "WARNING: the days do not lie on lines within their errors; look at the figures,"
-            " and for what else changed between them"
+            "WARNING: the days do not lie on lines within their errors. Look at the figures, and"
+            " for other changes between the days."
         )
     for limit in t.limits:
         yield f"LIMIT: {limit}"
@@ -99,7 +98,7 @@ def remarks(tracking: Tracking) -> Iterator[str]:
 
 def _table(t: Tracking) -> Iterator[str]:
     yield f"  {'actuator':<10}{'alpha':<20}{'k [%/K]':<20}drift [%/yr]"
-    shown = FIRST_ROWS if t.layout.n > MOST_ROWS else t.layout.n
+    shown = FIRST_ROWS if t.layout.n > MAX_ROWS else t.layout.n
     columns = (t.layout.id, t.alpha, t.coefficient, t.drift, *t.errors)
     for name, a, k, d, ea, ek, ed in itertools.islice(zip(*columns, strict=True), shown):
         coefficient = with_error(100 * k, 100 * ek) if "temperature" in t.effects else "-"
@@ -110,22 +109,18 @@ def _table(t: Tracking) -> Iterator[str]:
 
 
 def _validity_lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]:
-    """Yield the answer to: when is a new calibration due."""
+    """Yield when a new calibration is due."""
     if accuracy is None:
         return
     v = validity_of(tracking, accuracy)
     wanted = f"{100 * v.accuracy:.2g} %"
+    latest = _span(v, v.temperatures, v.until)
     if v.now > v.accuracy:
-        yield (
-            f"  the latest calibration does not reach {wanted}: readings alone leave"
-            f" {100 * v.now:.2g} %"
-        )
-    else:
-        span = _span(v, v.temperatures, v.until)
-        yield f"  the latest calibration, as it is, serves {wanted} {span}"
+        latest = f"never: its readings alone give {100 * v.now:.2g} %"
     law = _span(v, v.law_temperatures, v.law_until)
-    yield f"  this law serves {wanted} {law}" if law else f"  this law does not reach {wanted}"
-    yield "  (errors of the weights left out: the same weights would repeat them)"
+    yield f"  the latest calibration is valid to {wanted} {latest}"
+    yield f"  this law is valid to {wanted} {law or 'never'}"
+    yield "  (without errors of the weights, which the same weights would repeat)"
 
 
 def _span(
@@ -133,16 +128,16 @@ def _span(
 ) -> str:
     parts = []
     if temperatures is not None:
-        ends = " (the days saw no other)" if set(temperatures) & set(v.reach or ()) else ""
+        ends = " (limit of the days)" if set(temperatures) & set(v.reach or ()) else ""
         parts.append(f"from {temperatures[0]:.1f} to {temperatures[1]:.1f} deg C{ends}")
     if until is not None:
-        ends = " (as long again as the days lasted)" if until == v.reach_until else ""
+        ends = " (limit of extrapolation)" if until == v.reach_until else ""
         parts.append(f"until {until:%Y-%m-%d}{ends}")
     return ", and ".join(parts)
 
 
 def _lines_of_parts(t: Parts[Tracking], accuracy: float | None) -> Iterator[str]:
-    """Yield what was found of all segments; what is the same of several once."""
+    """Yield the lines of all segments; lines that several share are printed once."""
     days = next(iter(t.found.values())).days
     first, last = days[0].date, days[-1].date
     yield (
@@ -171,7 +166,7 @@ def _lines_of_parts(t: Parts[Tracking], accuracy: float | None) -> Iterator[str]
 
 
 def values(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> dict[str, Any]:
-    """Return the same figures for a script."""
+    """Return the same values for a script."""
     t = tracking
     if has_parts(t):
         return {
@@ -186,7 +181,7 @@ def values(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> dict
     names = "file", "date", "temperature", "verdict"
     days = zip(*columns_by_name(t, DAYS, *names).values(), strict=True)
     figures = {
-        **attributes(t, "instrument", "temperature", "date", "effects", "families"),
+        **attributes(t, "instrument", "temperature", "date", "effects", families="populations"),
         "scatter": {
             **attributes(t, own="scatter", common="common_scatter"),
             "degrees_of_freedom": t.scatter_degrees,

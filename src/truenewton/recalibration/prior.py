@@ -1,4 +1,4 @@
-"""What an earlier calibration knows, and what of its errors a new run shares."""
+"""The earlier calibration as prior, and errors of weights that it shares with a new run."""
 
 from __future__ import annotations
 
@@ -47,27 +47,25 @@ EARLIER = ErrorSource(ErrorKind.EARLIER)
 
 
 @dataclass(frozen=True, eq=False)
-class EarlierCalibration:
-    """Alpha as it was, its error by the weights parted into what is common to all and the rest.
+class PriorCalibration:
+    """Alpha as it was; its error by the weights is split into a common scale and the rest.
 
     Attributes
     ----------
     name
         Of the file.
     alpha, covariance
-        (n,) and (n, n); errors of the weights left out but for ``uneven``.
+        (n,) and (n, n); of the errors of the weights only ``uneven``.
     scale
-        Relative standard uncertainty that all actuators share from the weights.
+        Relative standard uncertainty from the weights that is common to all actuators.
     uneven
-        (n, m) change of alpha by errors of the weights beside the common scale.
+        (n, m) changes of alpha by errors of the weights beyond the common scale.
     temperature
-        At which alpha holds [deg C]; NaN if unknown.
-    loads, sources
-        Under which it was found, and from which files.
-    verdict
-        On it.
+        Of alpha [deg C]; NaN if unknown.
+    loads, sources, verdict
+        Of the earlier calibration.
     temperatures
-        Of a law: the coldest and the warmest of its days [deg C], where it tells temperature.
+        Of a law that depends on temperature: lowest and highest of its days [deg C].
     """
 
     name: str
@@ -82,28 +80,18 @@ class EarlierCalibration:
     temperatures: tuple[float, float] | None = None
 
 
-def known_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> EarlierCalibration:
-    """Return what is known of the mirror of a campaign.
-
-    Parameters
-    ----------
-    known
-        A calibration, or the law that tracking found, taken at the temperature and date of the
-        campaign; or a path to either.
-    campaign
-        The new run.
-    force
-        Take what was rejected, too.
+def prior_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> PriorCalibration:
+    """Return the prior for a campaign; a law is taken at its temperature and date.
 
     Raises
     ------
     NotToBeUsed
-        The verdict on it, unless forced.
+        It is rejected, and ``force`` is not set.
     UnreadableFile, FormatError, CampaignMismatch, RankDeficient
     """
     loads: tuple[Load, ...] = ()
     sources: tuple[Source, ...] = ()
-    name, given = known_of(known, campaign)
+    name, given = known_for(known, campaign)
     n, temperatures = given.layout.n, None
     if isinstance(given, Tracking):
         verdict = _verdict_on_days(given, force=force, path=name)
@@ -116,7 +104,7 @@ def known_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> E
     else:
         if given.scale == Scale.MEAN_ONE:
             raise FormatError(
-                "gives alpha relative to its mean, so it carries no scale",
+                "gives alpha relative to its mean, so it contains no scale",
                 remedy="give a calibration whose scale comes from weights",
                 path=name,
             )
@@ -130,8 +118,12 @@ def known_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> E
     scale, uneven = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
     uneven = alpha[:, None] * spread(uneven, on)
     covariance = covariance - systematic_covariance + uneven @ uneven.T
-    _refuse_singular(covariance[np.ix_(on, on)], name)
-    return EarlierCalibration(
+    try:
+        inverse_of_positive(covariance[np.ix_(on, on)])
+    except (ValueError, np.linalg.LinAlgError):  # it contains NaN, or is singular
+        fault = "COVARIANCE less SYSTEMATIC is no covariance of alpha"
+        raise FormatError(fault, remedy="calibrate again", path=name) from None
+    return PriorCalibration(
         name=name,
         alpha=alpha,
         covariance=covariance,
@@ -145,13 +137,8 @@ def known_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> E
     )
 
 
-def known_of(known: AnyKnown, run: Campaign | InParts[Any]) -> tuple[str, Any]:
-    """Return a name, and what is known of the mirror of a run: of one body, or of all segments.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
-    """
+def known_for(known: AnyKnown, run: Campaign | InParts[Any]) -> tuple[str, Any]:
+    """Return the name and the earlier calibration for a run, of one body or of all segments."""
     name, given = "the earlier calibration", known
     if isinstance(known, str | os.PathLike):
         name, given = os.fspath(known), read_known(known)
@@ -169,12 +156,7 @@ def known_of(known: AnyKnown, run: Campaign | InParts[Any]) -> tuple[str, Any]:
 
 
 def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
-    """Read a calibration or a law, of one body or of several segments.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Read a calibration or a law, of one body or of several segments."""
     remedy = "give --known the file that `calibrate -o` or `track -o` wrote"
     if Path(path).is_dir():
         raise FormatError("is a folder", remedy=remedy, path=os.fspath(path))
@@ -189,29 +171,13 @@ def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
 
 
 def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
-    """Return the verdict on a law; refuse one that rests on a rejected day, unless forced.
-
-    Raises
-    ------
-    NotToBeUsed
-    """
+    """Return the verdict on a law; raise `NotToBeUsed` if a day was rejected, unless forced."""
     days = [day.name for day in tracking.days if day.rejected]
     verdict = judged([Finding.of(Code.LAW_OF_REJECTED_DAY, day=day) for day in days[:1]])
     if days and not force:
         fault = verdict.faults[0]
         raise refusal_of(verdict.level, fault.fault, fault.remedy, path)
     return verdict
-
-
-def _refuse_singular(covariance: Array, path: str) -> None:
-    try:
-        inverse_of_positive(covariance)
-    except (ValueError, np.linalg.LinAlgError):  # it holds NaN, or is singular
-        raise FormatError(
-            "COVARIANCE less SYSTEMATIC is no covariance of alpha",
-            remedy="calibrate again",
-            path=path,
-        ) from None
 
 
 def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:
@@ -227,13 +193,13 @@ def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[floa
     return scale, np.asarray(turned[:, np.abs(turned).max(axis=0) > 1e-6 * scale])
 
 
-def shared_errors(known: EarlierCalibration, campaign: Campaign) -> tuple[WeightErrors, float]:
-    """Return the errors of the weights of a run, seen by who takes the earlier scale for true.
+def shared_errors(known: PriorCalibration, campaign: Campaign) -> tuple[WeightErrors, float]:
+    """Return the errors of the weights of a run, relative to the earlier scale, and its error.
 
-    With alpha, B and the torques all divided by 1 + s e, s e being the error of the earlier scale,
-    the balance holds for weights W / (1 + s e): a change of -s W. Where one and the same tool made
-    the earlier scale it also weighs in the run, and the two changes together leave only what B
-    takes up. The first of the sources is the earlier scale.
+    If alpha, B and the torques are all divided by 1 + s e, with s e the error of the earlier scale,
+    the balance holds for weights W / (1 + s e): a change of -s W. If the same tool made the earlier
+    scale and weighs in the run, both changes together leave only what B absorbs. The first source
+    is the earlier scale.
     """
     weights = campaign.effective_weights
     errors = weight_errors(campaign)
@@ -249,8 +215,8 @@ def shared_errors(known: EarlierCalibration, campaign: Campaign) -> tuple[Weight
     return {EARLIER: change} | errors, scale
 
 
-def _shared_source(known: EarlierCalibration, campaign: Campaign) -> ErrorSource | None:
-    """Return the run's one source of error that made the earlier scale too, if any did."""
+def _shared_source(known: PriorCalibration, campaign: Campaign) -> ErrorSource | None:
+    """Return the error of the run that also made the earlier scale, if there is one."""
     made = [load for load in known.loads if load.added_error > 0]
     if len(made) != 1 or any(load.tilt for load in known.loads):
         return None

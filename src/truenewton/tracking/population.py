@@ -1,17 +1,17 @@
-"""One physics, each actuator its own deviation: a normal population of the effects.
+"""The population of the coefficients of all actuators: one mean and one spread for each effect.
 
-The effects y of single actuators (temperature coefficients k, relative drifts r) have the known
-covariance C of their measurement and scatter by spreads s about common means m:
+The effects y of single actuators (temperature coefficients k, relative drifts r) are measured with
+the covariance C. They scatter by spreads s about common means m:
 
     y ~ N(X m, V),    V = C + diag(X s^2),
 
-X telling the effects apart. The spreads come from restricted maximum likelihood (Patterson and
-Thompson, Biometrika 58, 1971), by Fisher scoring; with
+where X assigns each y to its effect. The spreads maximise the restricted likelihood (Patterson and
+Thompson, Biometrika 58, 1971; Fisher scoring). With
 
     P = V^-1 - V^-1 X (X' V^-1 X)^-1 X' V^-1
 
-the best linear prediction of the effects is y - C P y, of covariance C - C P C, the means being
-unknown (Henderson). (P y)_i / P_ii is what an actuator differs by from what all others let expect.
+the best linear prediction of the effects is y - C P y, with covariance C - C P C, unknown means
+included (Henderson). (P y)_i / P_ii is the deviation of y_i from its prediction by all others.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import chi2_isf, normal_isf, normal_sf, t_isf
-from truenewton.tracking.scatter import largest_likelihood
+from truenewton.tracking.scatter import maximise_likelihood
 
-TWO_SIDED = 0.95
-GRID = 25  # spreads over which a chance is averaged
+TAIL = 0.025  # probability beyond each end of a 95 % interval
+SPREAD_GRID = 25  # number of spreads over which a probability is averaged
 
 
 @dataclass(frozen=True)
-class Family:
-    """The population of one effect.
+class Population:
+    """The distribution of one effect over the actuators.
 
     Attributes
     ----------
     effect
         'temperature' or 'drift'.
     mean, mean_error, mean_interval
-        Over actuators [1/K or 1/yr], its standard uncertainty, and a 95 % interval.
+        Mean [1/K or 1/yr], its standard uncertainty, and its 95 % interval.
     spread, spread_interval
-        Standard deviation over actuators, and a 95 % interval.
+        Standard deviation over actuators, and its 95 % interval.
     members
-        How many actuators it was taken from.
+        Number of actuators that it was estimated from.
     """
 
     effect: str
@@ -56,15 +56,13 @@ class Family:
 
 
 @dataclass(frozen=True, eq=False)
-class Population:
-    """The likeliest population.
+class PopulationFit:
+    """The fit of the population.
 
     Attributes
     ----------
-    variance
-        (q,) s^2 of each effect.
-    variance_covariance
-        (q, q) of their estimates, from the expected information.
+    variance, variance_covariance
+        (q,) s^2 of each effect and their (q, q) covariance, from the expected information.
     mean, mean_covariance
         (q,) and (q, q).
     projection
@@ -78,23 +76,13 @@ class Population:
     projection: Array
 
 
-def fitted_population(
+def fit_population(
     y: Array, covariance: Array, which: NDArray[np.int64], start: Array | None = None
-) -> Population:
-    """Find the population by restricted maximum likelihood.
+) -> PopulationFit:
+    """Fit the population by restricted maximum likelihood.
 
-    Parameters
-    ----------
-    y, covariance
-        (N,) effects and (N, N) covariance of their measurement.
-    which
-        (N,) index of each one's effect, 0 .. q - 1.
-    start
-        (q,) variances to begin with.
-
-    Raises
-    ------
-    NotConverged
+    ``y`` and ``covariance`` are N measured effects; ``which`` is the index 0 .. q - 1 of the effect
+    of each; ``start`` the (q,) first variances.
     """
     x = (which[:, None] == np.arange(which.max() + 1)).astype(float)
     noise = (np.diag(covariance) @ x) / x.sum(axis=0)
@@ -105,10 +93,10 @@ def fitted_population(
         value, _, score, information = _likelihood(variance, y, covariance, x)
         return value, score, information
 
-    variance, information = largest_likelihood(likelihood, variance, noise)
+    variance, information = maximise_likelihood(likelihood, variance, noise)
     weighed = np.linalg.solve(covariance + np.diag(x @ variance), x)
     mean_covariance = np.linalg.inv(x.T @ weighed)
-    return Population(
+    return PopulationFit(
         variance=variance,
         variance_covariance=np.asarray(np.linalg.inv(information), dtype=np.float64),
         mean=mean_covariance @ (weighed.T @ y),
@@ -134,30 +122,29 @@ def _likelihood(
     return value, p, score, information
 
 
-def families_from(
-    names: tuple[str, ...], population: Population, members: Array
-) -> tuple[Family, ...]:
-    """Return each effect's population with its intervals; ``members``, (q,), are their numbers.
+def populations_from(
+    names: tuple[str, ...], population: PopulationFit, members: Array
+) -> tuple[Population, ...]:
+    """Return the population of each effect with intervals; ``members``: (q,) numbers of actuators.
 
-    The spread: (n - 1) t' / t is taken for chi-squared with n - 1 degrees of freedom, t the total
-    variance that a single actuator scatters by, noise included, of which the estimate's variance
-    2 t^2 / (n - 1) tells the size. The mean: Student's t, its degrees after Satterthwaite.
+    Spread: with the total variance t of one actuator, noise included, (n - 1) t' / t is taken as
+    chi-squared with n - 1 degrees of freedom; the variance 2 t^2 / (n - 1) of the estimate gives t.
+    Mean: Student's t with Satterthwaite's degrees of freedom.
     """
-    families = []
-    tail = (1 - TWO_SIDED) / 2
+    populations = []
     for k, name in enumerate(names):
         n, variance = int(members[k]), float(population.variance[k])
         of_variance = float(population.variance_covariance[k, k])
         total = np.sqrt(of_variance * (n - 1) / 2)
-        ends = total * (n - 1) / chi2_isf([tail, 1 - tail], n - 1)
+        ends = total * (n - 1) / chi2_isf([TAIL, 1 - TAIL], n - 1)
         low, high = np.sqrt(np.maximum(ends - (total - variance), 0.0))
         error = float(np.sqrt(population.mean_covariance[k, k]))
         # d mean_error^2 / d variance is about 1 / n.
         degrees = max(2 * error**4 * n**2 / of_variance, 1.0)
-        reach = float(t_isf(tail, degrees)) * error
+        reach = float(t_isf(TAIL, degrees)) * error
         mean = float(population.mean[k])
-        families.append(
-            Family(
+        populations.append(
+            Population(
                 effect=name,
                 mean=mean,
                 mean_error=error,
@@ -167,38 +154,31 @@ def families_from(
                 members=n,
             )
         )
-    return tuple(families)
+    return tuple(populations)
 
 
 def most_outlying(
-    y: Array, covariance: Array, which: NDArray[np.int64], population: Population
+    y: Array, covariance: Array, which: NDArray[np.int64], population: PopulationFit
 ) -> tuple[int, float, float]:
-    """Return which of (n,) effects differs most from all others, sigmas and two-sided chance.
+    """Return the index of the effect that differs most from the others, sigmas and probability.
 
-    Neither may it hide behind the spread that it makes itself, nor is the spread of the others
-    known: the chance is a mean over all variances, each weighed by its likelihood from the others.
-    The restricted likelihood of all is that of the others times the normal density of the
-    deviation, so that both come from one P.
-
-    Parameters
-    ----------
-    y, covariance, which
-        As in `fitted_population`.
-    population
-        Of all effects.
+    The spread is that of the others, so that an outlier is not hidden by the spread that it causes.
+    This spread is uncertain: the probability is a mean over variances, weighted by their likelihood
+    from the others. The restricted likelihood of all is that of the others times the normal density
+    of the deviation, so that both come from one P.
     """
     z = (population.projection @ y) / np.sqrt(np.diag(population.projection))
     index = int(np.abs(z).argmax())
     others, effect = np.arange(len(y)) != index, which[index]
-    rest = fitted_population(
+    rest = fit_population(
         y[others], covariance[np.ix_(others, others)], which[others], population.variance
     )
     x = (which[:, None] == np.arange(which.max() + 1)).astype(float)
     middle = rest.variance[effect]
     reach = np.sqrt(rest.variance_covariance[effect, effect])
     ends = np.sqrt([max(middle - 5 * reach, 0.0), middle + 8 * reach])
-    likelihood, deviation = np.empty(GRID), np.empty(GRID)
-    spreads = np.linspace(ends[0], ends[1], GRID)
+    likelihood, deviation = np.empty(SPREAD_GRID), np.empty(SPREAD_GRID)
+    spreads = np.linspace(ends[0], ends[1], SPREAD_GRID)
     for k, spread in enumerate(spreads):
         variance = rest.variance.copy()
         variance[effect] = spread**2
