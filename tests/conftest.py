@@ -19,7 +19,7 @@ from truenewton.cli.main import main
 from truenewton.mirrors.known import p45
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import write_campaign
-from truenewton.report.investigate import investigate
+from truenewton.report.findings import investigate
 from truenewton.statics.layout import Layout, rings
 from truenewton.statics.load import Load
 

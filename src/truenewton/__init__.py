@@ -74,7 +74,7 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.records.segmented import SegmentedData as SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix as StiffnessMatrix
     from truenewton.report.change import change as change
-    from truenewton.report.investigate import investigate as investigate
+    from truenewton.report.findings import investigate as investigate
     from truenewton.report.page.page import write_report as write_report
     from truenewton.statics.layout import Layout as Layout
     from truenewton.statics.layout import layout as layout
@@ -128,7 +128,7 @@ _NAMES = {
     "records.segmented": ["SegmentedData"],
     "records.stiffness_matrix": ["StiffnessMatrix"],
     "report.change": ["change"],
-    "report.investigate": ["investigate"],
+    "report.findings": ["investigate"],
     "report.page.page": ["write_report"],
     "statics.layout": ["Layout", "layout", "rings", "spherical_rings"],
     "statics.load": ["Load"],

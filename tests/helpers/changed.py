@@ -14,8 +14,8 @@ from truenewton.arrays import jsonable
 from truenewton.bench.simulated.static import run_cycles
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
 from truenewton.records.campaign import Campaign
-from truenewton.report.investigate import investigate
-from truenewton.report.verdict import verdict as report_verdict
+from truenewton.report.findings import investigate
+from truenewton.report.verdict import headline_of
 
 
 @cache
@@ -47,7 +47,7 @@ def said(cycles, method="ml"):
 def check_alike(inside, path, *options):
     """Check that info, calibrate, report and Python give one verdict, or one refusal.
 
-    What `report` prints and puts on its page is `report.verdict` of what it finds.
+    What `report` prints and puts on its page is `headline_of` what it finds.
     """
     code, out, error = inside("info", path, *options, "--json")
     assert (code, error) == (0, "")
@@ -57,7 +57,7 @@ def check_alike(inside, path, *options):
     python = dict(zip(("method",), options[1:], strict=False)) if "--method" in options else {}
     python |= {"population": True} if "--population" in options else {}
     code, out, error = inside("calibrate", path, *options, "--json")
-    page = report_verdict(investigate(tn.read(path), **python))
+    page = headline_of(investigate(tn.read(path), **python))
     assert page.level == verdict["level"]
     assert [each.fault for each in page.advice[:1]] == ([fault] if fault else [])
     if verdict["level"] == "no alpha":

@@ -12,7 +12,7 @@ from helpers import report_data
 from helpers.browser import AXE, CHROMIUM, DRIVER, TOOLTIP, Browser
 from helpers.report_data import changed_by, hostile_campaign
 from truenewton.report.change import change
-from truenewton.report.investigate import investigate
+from truenewton.report.findings import investigate
 from truenewton.report.page.page import write_report
 
 pytest.importorskip("selenium", reason="selenium is not installed")
@@ -105,7 +105,7 @@ def test_the_actuator_under_the_pointer_is_told_in_full(browser, pages, p45_find
     assert "actuator17" in told.replace(": ", "").replace(" ", "")
     assert f"{c.alpha[16]:.3f}"[:4] in told
     assert f"{c.error[16]:.4f}"[:4] in told
-    for name in ("ring", "x, y", "alpha", "from the readings", "leverage", "residual"):
+    for name in ("ring", "x, y", "alpha", "statistical (E_STAT)", "leverage", "residual"):
         assert name in told, name
     panel = browser.js("return document.getElementById('detail').textContent")
     assert "actuator17" in panel
@@ -138,7 +138,7 @@ def test_the_layers_colour_the_map(browser, pages, p45_findings):
     names = browser.js(
         "return [...document.querySelectorAll('#layers label')].map((l) => l.textContent.trim())"
     )
-    assert {"alpha", "from the readings", "leverage", "residual"} <= set(names)
+    assert {"alpha", "statistical (E_STAT)", "leverage", "residual"} <= set(names)
     seen = set()
     for k in range(len(names)):
         browser.js("document.querySelectorAll('#layers input')[arguments[0]].click()", k)

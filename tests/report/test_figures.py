@@ -17,7 +17,7 @@ from truenewton.figures.style import COLUMN
 from truenewton.records.campaign import Campaign
 from truenewton.report.change import change
 from truenewton.report.figures import figures_of, still_figures
-from truenewton.report.investigate import investigate
+from truenewton.report.findings import investigate
 
 
 def points(ax):
@@ -123,11 +123,11 @@ def test_sensors_are_drawn_where_they_are_known(p45_findings):
 
 def test_a_calibration_alone_has_no_residuals_to_draw(p45_findings):
     alone = investigate(p45_findings.calibration)
-    with pytest.raises(ValueError, match="holds no residuals"):
+    with pytest.raises(ValueError, match="contains no residuals"):
         alone.plot("residuals")
     with pytest.raises(ValueError, match="only the cycles of a campaign"):
         alone.plot("temperatures")
-    with pytest.raises(ValueError, match="tells no modes"):
+    with pytest.raises(ValueError, match="has no modes"):
         alone.plot("modes")
     assert not {"residuals", "modes"} & set(still_figures(alone))
 

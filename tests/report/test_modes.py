@@ -12,10 +12,10 @@ from truenewton.modal import summary as words
 from truenewton.modal.findings import compare_modes, find_modes
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.report import investigate as module
+from truenewton.report import findings as module
 from truenewton.report.evidence import ModeResiduals
 from truenewton.report.figures import still_figures
-from truenewton.report.investigate import investigate
+from truenewton.report.findings import investigate
 from truenewton.report.page.page import page
 from truenewton.report.page.sections import modal_sections
 
@@ -68,8 +68,8 @@ def test_cycles_with_positions_tell_their_modes(p45_findings):
     check_table(parts["dissipation"].tables[0], found.after.costs[0], found.after.costs[1:])
     words = " ".join(parts["modes"].words)
     stiffness = found.after.modes.stiffness
-    assert f"Of 45 modes the softest elastic one has {stiffness[3] / 1e3:.1f} kN/m" in words
-    assert f"the stiffest {stiffness[-1] / 1e6:.1f} MN/m" in words
+    ends = f"{stiffness[3] / 1e3:.1f} kN/m to {stiffness[-1] / 1e6:.1f} MN/m"
+    assert f"45 modes. Elastic modes: {ends}" in words
     assert f"{np.degrees(found.comparison.distance):.2g} deg rms" in words
     assert "Measured stiffness: 90 shapes, 360 rows; repeats to" in words
     [faults] = parts["modes"].tables
@@ -141,7 +141,7 @@ def test_what_the_data_lack_for_modes_is_said(p45_findings, monkeypatch):
     assert list(parts) == ["modes"]
     assert parts["modes"].figure == ""
     [words] = parts["modes"].words
-    assert words.startswith("The data do not tell them: no cycle holds POSITION")
+    assert words.startswith("The data do not determine them: no cycle holds POSITION")
     assert "give a measured stiffness file." in words
     motion = p45_findings.modes.after.modes.modes[:, 6]
 
@@ -151,11 +151,9 @@ def test_what_the_data_lack_for_modes_is_said(p45_findings, monkeypatch):
 
     parts = told(p45_campaign(2), without_it)
     assert "1 of 42 elastic motions are missing" in parts["modes"].words[0]
-    monkeypatch.setattr(module, "MOST_MODES", 44)
+    monkeypatch.setattr(module, "MAX_MODES", 44)
     parts = told(p45_campaign(2), lambda cycle: cycle)
-    assert parts["modes"].words == (
-        "Those of 45 actuators take a while: truenewton modes finds them.",
-    )
+    assert parts["modes"].words == ("Those of 45 actuators take minutes: use truenewton modes.",)
 
 
 @pytest.mark.parametrize(

@@ -18,33 +18,34 @@ from truenewton.errors import CampaignMismatch, UnknownName
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
 from truenewton.report.change import change
-from truenewton.report.investigate import investigate
+from truenewton.report.findings import investigate
 from truenewton.report.layers import calibration_layers
 from truenewton.report.page.page import page
-from truenewton.report.verdict import verdict, verdict_on_change
+from truenewton.report.verdict import headline_of
 from truenewton.statics.arms import external_load
 
 GOLDEN = {
     "fine": """\
-Sound. Alpha of all 14 actuators of TEST is known, typically to 0.019 %.
-alpha: 0.73445 to 1.02068 (actuators 1 and 3, true N / commanded N)
-typical error of alpha: 0.019 % (one sigma; 0.018 % from the readings)
-error of the common scale: 0.018 % (one sigma, the same for all)
+Sound. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. The stated\
+ errors are valid.
+alpha: 0.73445 .. 1.02068 (true N / commanded N; actuators 1 and 3)
+typical error of alpha: 0.019 % (E_ALPHA, one sigma)
+common scale: 0.0069 % (E_SYST, from the weights)
 Nothing needs to be done.""",
     "scale_limited": """\
-Usable. Alpha of all 14 actuators of TEST is known, typically to 1.7 %. The stated errors\
- hold and include what was found. A better result is possible.
-alpha: 0.734 to 1.021 (actuators 1 and 3, true N / commanded N)
-typical error of alpha: 1.7 % (one sigma; 0.018 % from the readings)
-error of the common scale: 1.7 % (one sigma, the same for all)
+Usable. Alpha of all 14 actuators of TEST is known, typically to 1.7 %. Alpha can be used, within\
+ the limits listed below.
+alpha: 0.734 .. 1.021 (true N / commanded N; actuators 1 and 3)
+typical error of alpha: 1.7 % (E_ALPHA, one sigma)
+common scale: 1.7 % (E_SYST, from the weights)
 - The common scale is known to 1.7 %, nearly all of it from the weight of 'ring A'. Weigh it to\
  0.5 mN and it falls to 0.17 %; a 60 degree tilt known to 0.1 degree gives 0.35 %.""",
     "with_outliers": """\
-Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. The stated errors\
- hold and include what was found. A better result is possible.
-alpha: 0.73447 to 1.02071 (actuators 1 and 3, true N / commanded N)
-typical error of alpha: 0.019 % (one sigma; 0.018 % from the readings)
-error of the common scale: 0.018 % (one sigma, the same for all)
+Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. Alpha can be used, within\
+ the limits listed below.
+alpha: 0.73447 .. 1.02071 (true N / commanded N; actuators 1 and 3)
+typical error of alpha: 0.019 % (E_ALPHA, one sigma)
+common scale: 0.0069 % (E_SYST, from the weights)
 - 3 rows did not fit and were left out; the farthest: cycle 1 row 3, 372 sigma from its repeats,\
  mostly by actuator 6. Look at the residuals, and at an actuator that is named repeatedly.""",
     "one_load": """\
@@ -56,11 +57,11 @@ No alpha. These data of TEST cannot give alpha.
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_the_verdict_in_words(name):
-    assert "\n".join(verdict(investigate(getattr(report_data, name)())).lines()) == GOLDEN[name]
+    assert "\n".join(headline_of(investigate(getattr(report_data, name)())).lines()) == GOLDEN[name]
 
 
 def test_a_disabled_actuator_is_named():
-    judged = verdict(investigate(report_data.fine(disabled=(4,))))
+    judged = headline_of(investigate(report_data.fine(disabled=(4,))))
     assert "Alpha of 13 of the 14 actuators of TEST (actuator 5 disabled)" in judged.sentence
 
 
@@ -69,7 +70,7 @@ def test_a_fit_worse_than_its_noise_is_used_with_care():
     campaign = report_data.fine()
     wrong = 0.002 * np.random.default_rng(1).standard_normal(campaign.cycles[0].force.shape)
     bent = Campaign(tuple(replace(c, force=c.force + wrong) for c in campaign.cycles))
-    judged = verdict(investigate(bent))
+    judged = headline_of(investigate(bent))
     assert judged.title == "Doubtful"
     assert any("the model does not fit" in each.fault for each in judged.advice)
     # As uncertain as four repeats of that noise would be.
@@ -129,7 +130,7 @@ def test_a_changed_actuator_stands_out_by_as_many_sigmas():
     assert np.abs(np.delete(found.sigmas, 6)).max() < 1e-9
     assert found.changed.tolist() == [6]
     assert found.limit == pytest.approx(3.39, abs=0.02)  # two-sided, 1 % over 14: tables of erfc
-    judged = verdict_on_change(found)
+    judged = headline_of(found)
     assert judged.title == "Changed"
     assert judged.advice[0][0] == "changed: actuator 7"
     assert found.layers[0].limits[1] == pytest.approx(3 * found.limit)
@@ -138,11 +139,11 @@ def test_a_changed_actuator_stands_out_by_as_many_sigmas():
 
 def test_what_is_common_to_all_is_no_change():
     found = change(*changed_by(0.0))
-    assert verdict_on_change(found).title == "No change"
+    assert headline_of(found).title == "No change"
     scale = np.nanmedian(found.one.systematic_error / found.one.alpha)
     assert found.ratio_error == pytest.approx(1.02 * np.sqrt(2) * scale)
     named = replace(found.one, sources=(Source("bare.fits", "0" * 64, 1, 0),))
-    assert "rest on the same files" in verdict_on_change(change(named, named)).advice[0][0]
+    assert "rest on the same files" in headline_of(change(named, named)).advice[0][0]
 
 
 def test_chance_alone_changes_nothing():
@@ -238,7 +239,16 @@ def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp
         inside("calibrate", p45_folder, "--method", method, "-o", tmp_path / f"{method}.fits")
     code, out, err = inside("report", tmp_path / "ml.fits", "-o", tmp_path / "two.html")
     assert (code, err) == (0, "")
-    assert "does not hold them: give the cycles" in (tmp_path / "two.html").read_text()
+    assert "does not contain them: give the cycles" in (tmp_path / "two.html").read_text()
+    code, _, err = inside("report", p45_folder, "--calibration", tmp_path / "ml.fits",
+                              "-o", tmp_path / "again.html")  # fmt: skip
+    assert (code, err) == (0, "")
+    same, other = ((tmp_path / f"{name}.html").read_text() for name in ("one", "again"))
+    assert "--calibration" in other
+    for part in ("residuals", "balance", "modes", "times"):
+        words = [text.split(f'id="title-{part}"')[1].split("</section>")[0].split("<figcaption")[1]
+                 for text in (same, other)]  # fmt: skip
+        assert words[0] == words[1]
     pair = (tmp_path / "svd.fits", tmp_path / "ml.fits")
     code, out, err = inside("report", *pair, "-o", tmp_path / "pair.html")
     assert (code, err) == (0, "")
@@ -249,6 +259,15 @@ def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp
     code, _, err = inside("report", p45_folder, "-o", tmp_path / "x.html", "--method", "no")
     assert code == 2
     assert "there is no method 'no'" in err
+
+
+def test_a_calibration_of_other_files_gives_no_page(p45):
+    with pytest.raises(CampaignMismatch, match="is of TEST, the data of P45"):
+        investigate(p45.data, calibration=changed_by(0.0)[0])
+    other = replace(p45.calibration, sources=(Source("bare.fits", "0" * 64, 1, 0),))
+    cycles = (replace(c, source=Source(c.name, "1" * 64, 1, 0)) for c in p45.data.cycles)
+    with pytest.raises(CampaignMismatch, match="was not used for the calibration"):
+        investigate(Campaign(tuple(cycles)), calibration=other)
 
 
 def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):

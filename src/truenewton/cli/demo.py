@@ -31,7 +31,7 @@ def run(
     from truenewton.mirrors.known import p45
     from truenewton.reading import read_campaign
     from truenewton.records.file import write_campaign
-    from truenewton.report.investigate import investigate
+    from truenewton.report.findings import investigate
     from truenewton.report.page.page import write_report
     from truenewton.studies.scoring import score
     from truenewton.studies.summary import truth_lines

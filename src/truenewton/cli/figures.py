@@ -24,7 +24,7 @@ def run(
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_chosen
     from truenewton.report.figures import still_figures
-    from truenewton.report.investigate import investigate, require_calibration
+    from truenewton.report.findings import investigate, require_calibration
 
     refuse_existing(output, overwrite=overwrite)
     with busy("drawing"), about(paths):

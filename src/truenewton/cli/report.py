@@ -22,6 +22,9 @@ def run(
     ),
     output: Path = typer.Option(..., "-o", "--output", help="Page to write (HTML)."),
     method: str | None = options.METHOD,
+    calibration: Path | None = typer.Option(
+        None, help="Calibration of these data, which are then not fitted again."
+    ),
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
     segment: int | None = options.SEGMENT,
@@ -33,9 +36,9 @@ def run(
     from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import read_calibrations, read_chosen
+    from truenewton.reading import read_alpha, read_calibrations, read_chosen
     from truenewton.report.change import change
-    from truenewton.report.investigate import investigate
+    from truenewton.report.findings import investigate
     from truenewton.report.page.page import write_report
     from truenewton.report.verdict import headline_of
 
@@ -54,9 +57,13 @@ def run(
             data = read_chosen(*paths, segment=segment)
             edges = options.edges_of(mirror, data.layout)
             motion = options.motion_of(mirror, data)
-            findings = investigate(data, method, population=population, motion=motion)
+            made = None if calibration is None else read_alpha(calibration, segment=segment)
+            findings = investigate(
+                data, method, calibration=made, population=population, motion=motion
+            )
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method else []
+    words += ["--calibration", str(calibration)] if calibration else []
     words += ["--population"] if population else []
     words += [] if segment is None else ["--segment", str(segment)]
     words += ["--mirror", mirror] if mirror else []

@@ -1,13 +1,12 @@
-"""The report: what a campaign gave, and what it rests on.
+"""The report: a calibration, and the evidence for it.
 
-investigate  from data to findings
-findings     the calibration, or why there is none, and the evidence for it
-evidence     residuals, balance before and after, singular values
-change       what changed between two calibrations
-verdict      the verdict with three numbers, and what to do
-layers       what is known of each actuator, one layer a quantity
-figures      figures of the evidence, for papers and the page
-page/        the same on one page that opens without network
+findings  `investigate`: the calibration with its evidence and modal base, or why there is none
+evidence  residuals, balance before and after, singular values
+change    what changed between two calibrations
+verdict   the verdict with three numbers, and advice
+layers    the quantities of each actuator, for maps and tables
+figures   figures of the evidence, for papers and the page
+page/     all on one page that opens without network
 """
 
 import truenewton.report.figures  # noqa: F401  # registers the figures of findings

@@ -1,8 +1,8 @@
 """The evidence for a calibration: residuals, balance before and after, singular values.
 
-A row's imbalance is rho = A (alpha c) + k, three numbers, with the covariance S = A diag(alpha)
-Sigma diag(alpha) A' (docs/likelihood.md). In terms of its noise it is (rho' S^-1 rho / 3)^1/2,
-which is 1, rms, where nothing but noise is at work.
+The imbalance of a row is rho = A (alpha c) + k, three numbers, with the covariance
+S = A diag(alpha) Sigma diag(alpha) A' (docs/likelihood.md). In units of its noise it is
+(rho' S^-1 rho / 3)^1/2; its rms is 1 if there is nothing but noise.
 """
 
 from __future__ import annotations
@@ -35,14 +35,10 @@ EQUATIONS = (("force", "mN"), ("torque M_y", "mN m"), ("torque M_x", "mN m"))
 
 @dataclass(frozen=True)
 class BalanceLine:
-    """An rms imbalance with alpha = 1, with alpha as found, and as noise alone would leave it.
+    """An rms imbalance: with alpha = 1, with the calibration, and expected from noise.
 
-    Attributes
-    ----------
-    what, unit
-        'force, bare' in 'mN', ...; no unit where the imbalance is one per unit of force.
-    before, after, noise
-        The figures; NaN where unknown.
+    ``what``, ``unit``: 'force, bare' in 'mN'; '' for an imbalance per unit of force. NaN if
+    unknown.
     """
 
     what: str
@@ -54,16 +50,16 @@ class BalanceLine:
 
 @dataclass(frozen=True, eq=False)
 class RowResiduals:
-    """Imbalance of the valid rows of a campaign in terms of their noise.
+    """Imbalance of the N valid rows of a campaign in units of their noise.
 
     Attributes
     ----------
     cycle, signed_shape
-        (N,) index of the campaign's cycle; SHAPE times SIGN.
+        (N,) index of the cycle in the campaign; SHAPE times SIGN.
     before, after
-        (N,) with alpha = 1 and with alpha as found.
+        (N,) with alpha = 1 and with the calibration.
     kept
-        (N,) false for rows that were rejected.
+        (N,) false for rejected rows.
     """
 
     cycle: NDArray[np.int64]
@@ -75,14 +71,14 @@ class RowResiduals:
 
 @dataclass(frozen=True, eq=False)
 class ModeResiduals:
-    """Imbalance of the elastic modes of a stiffness matrix, rms of the three equations.
+    """Rms imbalance of the m elastic modes of a stiffness matrix per unit of force.
 
     Attributes
     ----------
     stiffness
         (m,) of the modes [N/m].
     before, after
-        (m,) per unit of force, with alpha = 1 and with alpha as found.
+        (m,) with alpha = 1 and with the calibration.
     """
 
     stiffness: Array
@@ -92,7 +88,7 @@ class ModeResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What supports a calibration.
+    """The evidence for a calibration.
 
     Attributes
     ----------
@@ -101,14 +97,14 @@ class Evidence:
     balance
         Imbalance before and after.
     actuator_residual
-        (n,) rms over rows of how far the imbalance pulls each actuator's reading, in terms of its
-        noise: 1 where nothing but noise is at work; NaN where disabled.
+        (n,) rms over rows of the correction of each actuator's reading that the imbalance implies,
+        in units of its noise; NaN if disabled.
     actuator_noise
-        (n,) standard deviation of one reading among repeats [N]; NaN where nothing repeats.
+        (n,) standard deviation of one reading among repeats [N]; NaN without repeats.
     singular_values
         Of the balance, ascending; the first belongs to alpha itself.
     in_noise
-        Whether they are in terms of noise, which is then 1.
+        Whether they are in units of noise.
     """
 
     residuals: RowResiduals | ModeResiduals
@@ -120,7 +116,7 @@ class Evidence:
 
 
 class RowImbalance:
-    """Imbalance of the rows of a campaign, with alpha = 1 and with (n,) alpha, as they are read."""
+    """Imbalance of the rows of a campaign with alpha = 1 and with (n,) alpha, as they are read."""
 
     def __init__(self, screened: ScreenedCampaign, alpha: Array) -> None:
         campaign, a = screened.campaign, enabled_arms(screened.campaign.layout)
@@ -129,16 +125,16 @@ class RowImbalance:
         self._parts: list[Array] = []
 
     def take(self, block: RowBlock) -> None:
-        """Take the next rows in."""
+        """Add the next rows."""
         position = block.position if is_displaced(block.cycle) else None
         force, known = self._balanced[block.cycle_index].of(block.force, position)
         other = 0.0 if known is None else known
         self._parts.append(np.stack([force @ arms.T + other for arms in self._arms]))
 
     def before_and_after(self, load: NDArray[np.int64], kept: NDArray[np.bool_]) -> Array:
-        """Return (2, N, 3) imbalances of all rows about the mean of those kept under their load.
+        """Return (2, N, 3) imbalances of all rows about the mean of the rows kept under their load.
 
-        The mean is what weight, B and torques take up.
+        The mean is absorbed by weight, B and torques.
         """
         rho = np.concatenate(self._parts, axis=1)
         for index in np.unique(load[kept]):
@@ -149,7 +145,7 @@ class RowImbalance:
 def campaign_evidence(
     screened: ScreenedCampaign, calibration: Calibration, imbalance: RowImbalance
 ) -> Evidence:
-    """Return the evidence that a campaign gives for its calibration; no row is read."""
+    """Return the evidence of a campaign for its calibration; no row is read."""
     campaign = screened.campaign
     a, on = enabled_arms(campaign.layout), campaign.layout.enabled
     scaled_arms = a * calibration.alpha[on]
@@ -195,9 +191,10 @@ def campaign_evidence(
 
 
 def _pull(rho: Array, weight: Array, scaled_arms: Array, s: Array) -> Array:
-    """Return (n,) rms over rows of (alpha_i a_i)' S^-1 rho, in terms of its noise.
+    """Return (n,) rms over rows of (alpha_i a_i)' S^-1 rho, in units of its noise.
 
-    It is the correction of the reading of actuator i that rho asks for, over what noise asks.
+    It is the correction of the reading of actuator i that rho implies, over that expected from
+    noise.
     """
     solved = np.linalg.solve(s, rho.T)
     mean_square = (weight * solved) @ solved.T / len(rho)
@@ -229,7 +226,7 @@ def _balance_lines(
 
 
 def stiffness_evidence(matrix: StiffnessMatrix, calibration: Calibration) -> Evidence:
-    """Return the evidence that a stiffness matrix gives for its relative alpha."""
+    """Return the evidence of a stiffness matrix for its relative alpha."""
     matrix = as_calibrated(matrix, calibration.effects)
     facts, on = MatrixFacts.of(matrix), matrix.layout.enabled
     a, elastic, alpha = facts.arms, facts.elastic_modes, calibration.alpha[on]

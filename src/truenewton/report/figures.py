@@ -1,6 +1,6 @@
-"""Figures of the evidence for papers: one column wide, with the conventions of `figures`.
+"""Figures of the evidence for papers, one column wide, in the style of `figures`.
 
-Every call takes axes or makes its own, and returns them.
+Every function takes axes or makes its own, and returns them.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ MAPS = (  # written; that of alpha is the paper's
 
 @figures_of.register(Findings)
 def findings_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
-    """Return what draws each figure that findings allow, by name; it takes axes or none."""
+    """Return functions that draw each figure of the findings, by name; they take axes or none."""
     c, evidence = findings.calibration, findings.evidence
     drawn: dict[str, Callable[..., Axes]] = {}
     if c is not None:
@@ -73,7 +73,7 @@ def findings_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
 
 
 def still_figures(findings: Findings | Parts[Calibration]) -> dict[str, Callable[..., Axes]]:
-    """Return the figures that are written beside the paper's, by name; none of segments."""
+    """Return the figures that are written beside those of the paper, by name; none of segments."""
     drawn = {} if has_parts(findings) else findings_figures(findings)
     return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
 
@@ -93,7 +93,7 @@ def plot_budget(budget: Mapping[str, float], ax: Axes | None = None) -> Axes:
 
 
 def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
-    """Draw how far rows, by shape and cycle, or modes are out of balance."""
+    """Draw the imbalance of rows, by shape and cycle, or of modes."""
     if isinstance(residuals, ModeResiduals):
         return plot_balance(residuals, ax)
     column, name = columns_of_shapes(residuals)
@@ -118,9 +118,9 @@ def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = No
 
 
 def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
-    """Return (N,) where rows stand on an axis of signed shapes, and what the axis is called.
+    """Return (N,) positions of rows on an axis of signed shapes, and its label.
 
-    SHAPE with its SIGN; where shapes are numbered with wide gaps, their place among all instead.
+    They are SHAPE times SIGN, or ranks if the numbers of shapes have wide gaps.
     """
     signed = residuals.signed_shape
     names, index = np.unique(np.abs(signed), return_inverse=True)
@@ -130,7 +130,7 @@ def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
 
 
 def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
-    """Draw the imbalance of shapes or modes with alpha = 1 and with alpha as found."""
+    """Draw the imbalance of shapes or modes with alpha = 1 and with the calibration."""
     with styled_axes(ax, 0.7) as ax:
         if isinstance(residuals, ModeResiduals):
             x: NDArray[Any] = residuals.stiffness
@@ -152,7 +152,7 @@ def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None
 
 
 def _by_signed_shape(residuals: RowResiduals) -> tuple[NDArray[np.int64], Array, Array, str]:
-    """Return signed shapes, their rms imbalance over kept rows before and after, and the axis."""
+    """Return signed shapes, their rms imbalance over kept rows before and after, and the label."""
     column, name = columns_of_shapes(residuals)
     shapes, member = np.unique(column[residuals.kept], return_inverse=True)
     before, after = (
@@ -163,7 +163,7 @@ def _by_signed_shape(residuals: RowResiduals) -> tuple[NDArray[np.int64], Array,
 
 
 def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
-    """Draw how clearly the data hold each pattern of alpha."""
+    """Draw the singular values of the balance."""
     values = np.maximum(evidence.singular_values, 1e-16 * evidence.singular_values[-1])
     with styled_axes(ax, 0.62) as ax:
         ax.semilogy(np.arange(1, values.size + 1), values, "o", color=ACCENT, markersize=1.8)
@@ -176,7 +176,7 @@ def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
 
 
 def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
-    """Draw when the cycles ran, and how warm it was where that is known."""
+    """Draw the times of the cycles, and their temperatures if known."""
     known = any(cycle.temperature is not None for cycle in campaign.cycles)
     with styled_axes(ax, 0.55) as ax:
         for k, cycle in enumerate(campaign.cycles):
@@ -199,7 +199,7 @@ def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
 
 
 def _times(cycle: Cycle) -> tuple[NDArray[Any], Array | None]:
-    """Return times (UTC) and temperatures [deg C] of a cycle, a few hundred at most."""
+    """Return at most 200 times (UTC) and temperatures [deg C] of a cycle."""
     valid = np.flatnonzero(cycle.valid)
     valid = valid[np.argsort(cycle.time[valid], kind="stable")]
     some = valid[np.linspace(0, valid.size - 1, min(valid.size, POINTS)).round().astype(int)]

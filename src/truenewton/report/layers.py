@@ -1,4 +1,4 @@
-"""What is known of each actuator, one layer a quantity: for maps and tables."""
+"""The quantities of each actuator, one layer each, for maps and tables."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class Layer:
     Attributes
     ----------
     key, name, unit
-        For programs; for people; '' where there is none.
+        For programs; for people; '' without unit.
     values
-        (n,), NaN where unknown.
+        (n,), NaN if unknown.
     meaning
         One sentence.
     errors
-        (n,) how far the values are to be read; None for two digits of each.
+        (n,) to which the values are rounded; two digits if None.
     signed
-        Whether zero is the middle of its colours.
+        Whether colours are centred on zero.
     reach
-        How far the colours reach from zero, if signed; NaN to let the values decide.
+        Largest value of the colours, if signed; NaN: from the values.
     """
 
     key: str
@@ -56,7 +56,7 @@ class Layer:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """(n,) as people read them."""
+        """(n,) the values as text."""
         if self.errors is not None:
             return tuple(map(with_error, self.values.tolist(), self.errors.tolist()))
         sign = "+" if self.signed else ""
@@ -65,7 +65,7 @@ class Layer:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Ends of the colours; among many actuators the few farthest out shall not take them up."""
+        """Ends of the colours; of more than 100 actuators the outer 1 % at each end are clipped."""
         if np.isfinite(self.reach):
             return -self.reach, self.reach
         known = self.values[np.isfinite(self.values)]
@@ -88,79 +88,70 @@ class Layer:
 
 
 def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer, ...]:
-    """Return what is known of the actuators of one calibration."""
+    """Return the layers of one calibration that have values."""
+    scale_error = np.full(c.layout.n, np.nan) if c.scale == Scale.MEAN_ONE else c.systematic_error
     layers = [
         alpha_layer(c, "alpha", "alpha"),
-        Layer("e_alpha", "error of alpha", "", c.error,
-              "E_ALPHA: readings and weights together, one sigma."),
-        Layer("e_stat", "from the readings", "", c.reading_error,
-              "E_STAT: the error that the noise of the readings gives alpha, one sigma; it is what"
-              " counts between actuators of one calibration."),
-    ]  # fmt: skip
-    if c.scale != Scale.MEAN_ONE:
-        layers.append(
-            Layer("e_syst", "from the weights", "", c.systematic_error,
-                  "E_SYST: the errors of the weights, which move all alphas together.")
-        )  # fmt: skip
-    layers += [
-        Layer("e_cycle", "error of the paper", "", c.cycle_error,
-              "E_CYCLE: from the scatter of the cycles, three sigma."),
+        Layer("e_alpha", "error of alpha", "", c.error, "Total standard uncertainty (E_ALPHA)."),
+        Layer("e_stat", "statistical (E_STAT)", "", c.reading_error,
+              "Standard uncertainty from the noise of the readings (E_STAT): it applies between"
+              " actuators of one calibration."),
+        Layer("e_syst", "scale (E_SYST)", "", scale_error,
+              "Standard uncertainty from the weights (E_SYST), common to all actuators."),
+        Layer("e_cycle", "scatter of cycles (E_CYCLE)", "", c.cycle_error,
+              "Scatter of the cycles, 3 sigma, as in Ricci 2008 (E_CYCLE)."),
         Layer("leverage", "leverage", "", _leverage(c),
-              "Share of the actuator in the noise of the balance; all together make 3. Where it"
-              " is small, a fault of the actuator is hard to see."),
+              "Share of the actuator in the noise of the balance; the sum is 3. If it is small, a"
+              " fault of the actuator is hard to detect."),
     ]  # fmt: skip
     if evidence is not None:
         layers += [
             Layer("residual", "residual", "", evidence.actuator_residual,
-                  "How far the imbalance pulls the actuator's reading, rms over rows, in terms"
-                  " of its noise; noise alone gives 1."),
+                  "Correction of the actuator's reading that the imbalance implies, rms over rows,"
+                  " in units of its noise (noise alone: 1)."),
             Layer("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
                   "Standard deviation of one reading among repeats of its shape."),
         ]  # fmt: skip
     layers += _sensor_layers(c)
     if c.halves is not None:
         layers.append(
-            Layer("halves", "half of the modes against the other", "", c.halves,
-                  "Relative alpha fitted on the even elastic modes less that fitted on the odd:"
+            Layer("halves", "even less odd modes", "", c.halves,
+                  "Relative alpha from the even elastic modes less that from the odd:"
                   " cross-validation of a matrix.", signed=True)
         )  # fmt: skip
-    if (named := _named(c)).any():
-        layers.append(
-            Layer("findings", "named in findings", "", named,
-                  "In how many findings of the verdict the actuator is named.")
-        )  # fmt: skip
+    ids = c.layout.id.tolist()
+    named = np.array([sum(i in each.actuators for each in c.findings) for i in ids], dtype=float)
+    if named.any():
+        meaning = "Number of findings of the verdict that name the actuator."
+        layers.append(Layer("findings", "named in findings", "", named, meaning))
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
 
 def segment_layers(c: Parts[Calibration]) -> tuple[Layer, ...]:
-    """Return what is known of the actuators of all segments; NaN where a segment does not tell."""
-    of_segments: dict[str, dict[int, Layer]] = {}
+    """Return the layers of all segments, NaN if a segment has none."""
+    whole: dict[str, Layer] = {}
     for number, one in c.found.items():
+        own = c.of(number)
         for layer in calibration_layers(one, None):
-            of_segments.setdefault(layer.key, {})[number] = layer
-    made = []
-    for parts in of_segments.values():
-        values, errors = np.full((2, c.layout.n), np.nan)
-        for number, layer in parts.items():
-            own = c.layout.segment == number
-            values[own] = layer.values
-            if layer.errors is not None:
-                errors[own] = layer.errors
-        first = next(iter(parts.values()))
-        known = None if first.errors is None else errors
-        made.append(replace(first, values=values, errors=known))
-    return tuple(made)
+            if layer.key not in whole:
+                values, errors = np.full((2, c.layout.n), np.nan)
+                known = None if layer.errors is None else errors
+                whole[layer.key] = replace(layer, values=values, errors=known)
+            whole[layer.key].values[own] = layer.values
+            if (errors_of_all := whole[layer.key].errors) is not None:
+                errors_of_all[own] = layer.errors
+    return tuple(whole.values())
 
 
 def alpha_layer(calibration: AnyCalibration, key: str, name: str) -> Layer:
-    """Return alpha, as far as its error goes, all included."""
+    """Return alpha, rounded to its total error."""
     return Layer(key, name, "true N / commanded N", calibration.column("alpha"),
-                 "True Newton per commanded Newton, with its error, all included (E_ALPHA).",
+                 "True Newton per commanded Newton, with its total error (E_ALPHA).",
                  calibration.column("error"))  # fmt: skip
 
 
 def _sensor_layers(c: Calibration) -> list[Layer]:
-    """Return what reciprocity finds of the sensors; without values what it was not asked."""
+    """Return gains and positions of the sensors; NaN without reciprocity."""
 
     def known(name: str, unit: float = 1.0) -> tuple[Array, Array]:
         value, error = c.of_sensors(name) / unit, c.of_sensors(f"{name}_error") / unit
@@ -169,27 +160,18 @@ def _sensor_layers(c: Calibration) -> list[Layer]:
     gain, gain_error = known("gain")
     layers = [
         Layer("sensor_gain", "sensor gain", "true / reading", gain,
-              "True displacement per reading of the actuator's sensor (GAIN): above 1 the mirror"
-              " moves by more than the sensor says.", gain_error),
+              "True displacement per reading of the actuator's sensor (GAIN).", gain_error),
     ]  # fmt: skip
     for axis in ("x", "y"):
         offset, error = known(axis, MILLIMETRE)
-        layers.append(
-            Layer(f"sensor_d{axis}", f"actuator less sensor, {axis}", "mm", offset,
-                  f"Place of the actuator less that of its sensor (D{axis.upper()}): positive where"
-                  f" the actuator stands at the larger {axis}.", error, signed=True)
-        )  # fmt: skip
+        meaning = f"{axis} of the actuator less {axis} of its sensor (D{axis.upper()})."
+        name = f"actuator less sensor, {axis}"
+        layers.append(Layer(f"sensor_d{axis}", name, "mm", offset, meaning, error, signed=True))
     return layers
 
 
-def _named(c: Calibration) -> Array:
-    """Return (n,) in how many findings each actuator is named."""
-    ids = c.layout.id.tolist()
-    return np.array([sum(i in each.actuators for each in c.findings) for i in ids], dtype=float)
-
-
 def _leverage(c: Calibration) -> Array:
-    """Return (n,) leverage: as diagnosed, else with even noise; NaN where disabled."""
+    """Return (n,) leverage of the diagnosis, or for uniform noise; NaN if disabled."""
     if c.diagnosis and c.diagnosis.leverage:
         return spread(np.array(c.diagnosis.leverage), c.layout.enabled)
     scaled_arms = arms_in_units_of_rms(c.layout) * c.alpha[c.layout.enabled]

@@ -12,7 +12,7 @@ from truenewton.estimation.findings.code import Code
 from truenewton.estimation.readings.rows import balanced_rows, common_reference
 from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
 from truenewton.records.campaign import Campaign
-from truenewton.report.investigate import investigate
+from truenewton.report.findings import investigate
 from truenewton.statics.arms import enabled_arms
 
 MOVED = 3e-8  # between cycles [m], by 600 /m 2e-5 of alpha

@@ -12,7 +12,7 @@ from truenewton.modal.findings import find_modes
 from truenewton.recalibration.fit import recalibrate
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
-from truenewton.report.investigate import investigate
+from truenewton.report.findings import investigate
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """The report as one page that opens in any browser without network.
 
-page      the page itself
-sections  what it is made of: of a calibration, its evidence, the modal base
-views     map and rings of the actuators, which share one selection
+page      the page
+sections  its sections: calibration, evidence, modal base, segments
+views     map and rings of the actuators, with one selection
 """

@@ -1,4 +1,4 @@
-"""The page itself: one file that opens in any browser without network."""
+"""The page: one file that opens in any browser without network."""
 
 from __future__ import annotations
 
@@ -24,27 +24,17 @@ from truenewton.records.parts import has_parts
 from truenewton.report.change import Change
 from truenewton.report.figures import findings_figures
 from truenewton.report.page.sections import (
+    Section,
     TextTable,
+    all_figures,
     changed_segments,
     evidence_sections,
     modal_sections,
     segment_sections,
     times,
 )
-from truenewton.report.page.views import (
-    Actuators,
-    calibration_views,
-    change_views,
-    palette,
-    segment_views,
-)
-from truenewton.report.verdict import (
-    Reported,
-    sources_of,
-    verdict,
-    verdict_on_change,
-    verdict_on_whole,
-)
+from truenewton.report.page.views import Actuators, calibration_views, change_views, palette
+from truenewton.report.verdict import Reported, headline_of, sources_of
 
 # Bokeh's script, which stands in the page; only what figures need.
 BOKEH = Resources(mode="inline", components=["bokeh"], minified=True)
@@ -59,20 +49,20 @@ def write_report(
     edges: Sequence[Array] = (),
     overwrite: bool = False,
 ) -> None:
-    """Write what was found, or what changed, on one page that opens without network.
+    """Write findings, or a comparison, as one page that opens without network.
 
     Parameters
     ----------
     path
         The page, HTML.
     findings
-        From `investigate`, or `change` for two calibrations; or a mirror in several segments.
+        From `investigate`, `change`, or `calibrate` of a mirror in several segments.
     command
         The command that makes the page again, if there is one.
     edges
-        Those of the glass behind the actuators, (vertices, 2) polygons [m], drawn on the map.
+        Edges of the glass to draw on the map, (vertices, 2) polygons [m].
     overwrite
-        Replace a page that stands.
+        Replace an existing page.
 
     Raises
     ------
@@ -88,53 +78,49 @@ def write_report(
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-def page(
-    findings: Reported,
-    command: str = "",
-    edges: Sequence[Array] = (),
-) -> str:
+def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> str:
     """Return the page as HTML; edges of the glass are (vertices, 2) polygons [m]."""
+    sections: tuple[Section, ...] = ()
+    drawn: dict[str, str] = {}
+    actuators: Actuators | None = None
     if has_parts(findings):
-        return _rendered(
-            title=f"{findings.instrument}: calibration of its segments",
-            heading=headline(findings),
-            verdict=verdict_on_whole(findings),
-            actuators=segment_views(findings, edges),
-            sections=tuple(segment_sections(findings)),
-            drawn={},
-            tables=(_files(sources_of(findings), "Files"),),
-            command=command,
+        title, heading = f"{findings.instrument}: calibration of its segments", headline(findings)
+        actuators, sections = calibration_views(findings, None, edges), segment_sections(findings)
+        tables = [_files(sources_of(findings), "Files")]
+    elif isinstance(findings, Change):
+        title = f"{findings.one.instrument}: what changed"
+        heading = f"{findings.one.instrument}: two calibrations compared"
+        actuators = change_views(findings, edges)
+        tables = [
+            _summaries(findings),
+            _files(sources_of(findings.one), "First calibration: files"),
+            _files(sources_of(findings.other), "Second calibration: files"),
+        ]
+    else:
+        c, instrument = findings.calibration, findings.data.instrument
+        title, heading = (
+            f"{instrument}: calibration of its actuators",
+            f"{instrument}: no calibration",
         )
-    if isinstance(findings, Change):
-        return _rendered(
-            title=f"{findings.one.instrument}: what changed",
-            heading=f"{findings.one.instrument}: two calibrations compared",
-            verdict=verdict_on_change(findings),
-            actuators=change_views(findings, edges),
-            sections=(),
-            drawn={},
-            tables=(
-                _summaries(findings),
-                _files(sources_of(findings.one), "First calibration: files"),
-                _files(sources_of(findings.other), "Second calibration: files"),
-            ),
-            command=command,
-        )  # fmt: skip
-    c, instrument = findings.calibration, findings.data.instrument
-    sections = (*evidence_sections(findings), *modal_sections(findings), times(findings))
-    figures = findings_figures(findings)
-    return _rendered(
-        title=f"{instrument}: calibration of its actuators",
-        heading=headline(c) if c else f"{instrument}: no calibration",
-        verdict=verdict(findings),
-        actuators=calibration_views(findings, c, edges) if c else None,
-        sections=sections,
-        drawn={part.key: inline_svg(figures[part.figure](), part.key)
-               for part in sections if part.figure},
-        tables=(TextTable("All figures", ("figure", "value", "note"),
-                          tuple(summary_rows(c)) if c else (), wraps=True),
-                _files(findings.inputs, "Files")),
-        command=command,
+        tables = []
+        if c is not None:
+            heading, actuators = headline(c), calibration_views(c, findings.evidence, edges)
+            tables = [all_figures(c)]
+        sections = (*evidence_sections(findings), *modal_sections(findings), times(findings))
+        figures = findings_figures(findings)
+        drawn = {part.key: inline_svg(figures[part.figure](), part.key)
+                 for part in sections if part.figure}  # fmt: skip
+        tables.append(_files(findings.inputs, "Files"))
+    # Text from files passes through autoescape or JSON.
+    environment = Environment(
+        loader=PackageLoader("truenewton.report.page"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template("page.html.j2").render(
+        title=title, heading=heading, verdict=headline_of(findings), actuators=actuators,
+        sections=sections, drawn=drawn, tables=tables, command=command, versions=_versions(),
+        bokeh="\n".join(BOKEH.js_raw),
+        payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )  # fmt: skip
 
 
@@ -156,23 +142,8 @@ def _files(sources: tuple[Source, ...], caption: str) -> TextTable:
     return TextTable(caption, ("file", "rows used", "rejected", "SHA256"), rows)
 
 
-def _rendered(actuators: Actuators | None, **content: Any) -> str:
-    """Put the page together; what comes from files goes through autoescape or as JSON."""
-    environment = Environment(
-        loader=PackageLoader("truenewton.report.page"), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    return environment.get_template("page.html.j2").render(
-        **content,
-        actuators=actuators,
-        versions=_versions(),
-        bokeh="\n".join(BOKEH.js_raw),
-        payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
-    )
-
-
 def _payload(actuators: Actuators) -> dict[str, Any]:
-    """Return what the script needs: Bokeh's document, where its figures go, and the layers."""
+    """Return the data of the script: Bokeh's document, the places of its figures, the layers."""
     document = Document()
     for view in actuators.views:
         document.add_root(view.plot)

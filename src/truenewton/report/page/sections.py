@@ -1,4 +1,4 @@
-"""The page in sections: what each shows, and the same in words for who cannot see it."""
+"""The sections of the page, with every figure also in words."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from truenewton.calibration.summary import (
     rejected_values,
     summary_rows,
 )
-from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import typical
 from truenewton.modal.figures import chosen_modes
 from truenewton.modal.findings import ModalFindings
@@ -45,10 +44,7 @@ from truenewton.rounding import counted, percent, significant, with_error
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text, not shown without rows.
-
-    Its first column is a name; long cells wrap where ``wraps``.
-    """
+    """A table of text, omitted without rows; its first column is a name, long cells may wrap."""
 
     caption: str
     head: tuple[str, ...]
@@ -58,21 +54,7 @@ class TextTable:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page.
-
-    Attributes
-    ----------
-    key, title
-        For links; for people.
-    words
-        Paragraphs.
-    figure
-        Name of the figure of `Findings.plot`; empty where nothing is drawn.
-    caption
-        What the figure shows, in words: its alternative for who cannot see it.
-    tables
-        What stands beneath.
-    """
+    """A section: paragraphs, then a figure of `Findings.plot` with its caption, then tables."""
 
     key: str
     title: str
@@ -82,15 +64,15 @@ class Section:
     tables: tuple[TextTable, ...] = ()
 
 
-NO_DATA = "This page was made from a calibration file, which does not hold them: give the cycles."
-MOST_REJECTED = 50  # rows listed
-SEGMENT_HEAD = ("segment", "verdict", "actuators", "mean alpha", "typical error",
-                "of it from the weights", "B (N)", "noise (mN)", "chi2/DOF",
-                "rejected rows")  # fmt: skip
+NO_DATA = (
+    "This page was made from a calibration file, which does not contain them: give the cycles with"
+    " --calibration."
+)
+MAX_REJECTED_ROWS = 50  # in the table
 
 
 def evidence_sections(findings: Findings) -> Iterator[Section]:
-    """Yield what supports or explains alpha, in the order of the page."""
+    """Yield the evidence for alpha, in the order of the page."""
     c, evidence = findings.calibration, findings.evidence
     if c is None:
         return
@@ -107,46 +89,42 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
 
 
 def _budget(c: Calibration) -> Section:
-    """Return the error budget: of the common scale, source by source, and of an actuator."""
-    title, budget = "Error budget", error_budget(c)
+    """Return the error budget: of the common scale by source, and of a typical actuator."""
+    budget = error_budget(c)
     if not budget:
-        words = "The common scale is a convention (mean alpha 1), so all the error is the readings'"
-        words += f": {percent(typical(c.error, c.alpha))}, typically."
-        return Section("budget", title, (words,))
-    parts = "; ".join(f"{name}: {percent(size)}" for name, size in budget.items())
-    caption = (
-        f"Relative standard uncertainties of alpha. {parts[:1].upper()}{parts[1:]}. The readings'"
-        " part shrinks with more cycles, the weights' part with better weights."
-    )
-    unseen = "; ".join(f"{percent(error.relative)} if {error.name}" for error in c.unseen)
-    if unseen:
-        caption += f" What such data cannot show is in none of them: {unseen}."
-    return Section("budget", title, (), "budget", caption)
+        words = (
+            "The common scale is a convention (mean alpha 1). The typical error, from the readings,"
+            f" is {percent(typical(c.error, c.alpha))}."
+        )
+        return Section("budget", "Error budget", (words,))
+    parts = "; ".join(f"{name} {percent(size)}" for name, size in budget.items())
+    caption = f"Relative standard uncertainties of alpha: {parts}."
+    if c.unseen:
+        unseen = "; ".join(f"{percent(error.relative)} if {error.name}" for error in c.unseen)
+        caption += f" Undetectable here, and not included: {unseen}."
+    return Section("budget", "Error budget", (), "budget", caption)
 
 
 def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Section:
-    after, rejected = residuals.after[residuals.kept], int(np.count_nonzero(~residuals.kept))
+    after, kept = residuals.after[residuals.kept], residuals.kept
     farthest = int(np.argmax(after))
-    shape = columns_of_shapes(residuals)[0][residuals.kept][farthest]
+    shape = columns_of_shapes(residuals)[0][kept][farthest]
     caption = (
-        f"Imbalance of {counted(after, 'row')} of {counted(campaign.cycles, 'cycle')} in terms of"
-        f" its noise, by signed shape and cycle: {_rms(after):.2f} rms, where noise alone gives 1,"
-        f" and {after[farthest]:.1f} at most, at shape {shape} of cycle"
-        f" {residuals.cycle[residuals.kept][farthest] + 1}."
-        f" {counted(rejected, 'row') if rejected else 'No rows'} rejected"
-        + (", marked by crosses." if rejected else ".")
+        f"Imbalance of {counted(after, 'row')} of {counted(campaign.cycles, 'cycle')} in units of"
+        f" its noise, by signed shape and cycle: {_rms(after):.2f} rms (noise alone: 1), largest"
+        f" {after[farthest]:.1f}, at shape {shape} of cycle"
+        f" {residuals.cycle[kept][farthest] + 1}. Crosses: rejected rows."
     )
     listed = rejected_values(campaign, c.rejected_rows)
     rows = tuple(
         (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
          str(row["against"]), str(row["actuator"]))
-        for row in listed[:MOST_REJECTED]
+        for row in listed[:MAX_REJECTED_ROWS]
     )  # fmt: skip
-    more = f"; the farthest {MOST_REJECTED}" if len(listed) > MOST_REJECTED else ""
-    head = ("file", "row", "sigma", "against", "actuator that stands out")
+    more = f"; the farthest {MAX_REJECTED_ROWS}" if len(listed) > MAX_REJECTED_ROWS else ""
+    head = ("file", "row", "sigma", "against", "largest contribution by actuator")
     table = TextTable(f"Rejected rows: {len(listed)}{more}", head, rows)
-    title = "Residuals by shape and cycle"
-    return Section("residuals", title, (), "residuals", caption, (table,))
+    return Section("residuals", "Residuals by shape and cycle", (), "residuals", caption, (table,))
 
 
 def _rms(values: Array) -> float:
@@ -166,14 +144,16 @@ def _singular_values(evidence: Evidence) -> Section:
     values = evidence.singular_values
     ratio = float(values[1] / max(values[0], 1e-16 * values[-1]))
     caption = (
-        f"Singular values of the balance, ascending. The first, in the diamond, belongs to alpha"
-        f" itself; the second is {significant(ratio)} times larger. Patterns that come near the"
-        " first are hardly known; were it no larger, noise would choose between them."
+        "Singular values of the balance, ascending. The first (diamond) belongs to alpha itself;"
+        f" the second is {significant(ratio)} times larger. Patterns with a singular value close to"
+        " the smallest are poorly determined. If the two smallest were equal, alpha would not be"
+        " unique."
     )
     return Section("singular-values", "Singular values", (), "singular-values", caption)
 
 
 def _balance(evidence: Evidence) -> Section:
+    title = "The balance before and after"
     noise = any(np.isfinite(line.noise) for line in evidence.balance)
     head = ("of", "alpha = 1", "calibrated", "noise alone")[: 4 if noise else 3]
     rows = tuple(
@@ -181,26 +161,16 @@ def _balance(evidence: Evidence) -> Section:
                       (line.before, line.after, line.noise)[: len(head) - 1]))
         for line in evidence.balance
     )  # fmt: skip
-    caption = "Rms imbalance" if noise else "Rms imbalance per unit of force"
-    table = TextTable(caption, head, rows)
-    title = "The balance before and after"
+    table = TextTable("Rms imbalance" if noise else "Rms imbalance per unit of force", head, rows)
     if isinstance(evidence.residuals, ModeResiduals):
-        words = "Modes that the fit has not seen tell what alpha is worth on other forces."
+        words = "Held-out modes show how well alpha applies to other forces."
         return Section("balance", title, (words,), tables=(table,))
-    used = evidence.residuals.kept
-    before, after = (
-        significant(_rms(values[used]))
-        for values in (evidence.residuals.before, evidence.residuals.after)
-    )
-    caption = (
-        "Imbalance of every shape, with its sign, in terms of its noise:"
-        f" {before} rms with alpha = 1, {after} calibrated."
-    )
+    caption = "Imbalance of each signed shape in units of noise, with alpha = 1 and calibrated."
     return Section("balance", title, (), "balance", caption, (table,))
 
 
 def times(findings: Findings) -> Section:
-    """Return when the data were taken, and how warm it was."""
+    """Return the times and temperatures of the data."""
     title, c, data = "Temperatures and times", findings.calibration, findings.data
     if not isinstance(data, Campaign):
         words = f"Measured on {data.date:%Y-%m-%d %H:%M} UTC"
@@ -233,34 +203,37 @@ def times(findings: Findings) -> Section:
     return Section("times", title, (), "temperatures", caption, tables)
 
 
-def segment_sections(c: Parts[Calibration]) -> Iterator[Section]:
-    """Yield what is known of the segments: side by side, then one after the other."""
-    rows = tuple(_segment_row(c, number) for number in c.numbers)
+def all_figures(c: Calibration) -> TextTable:
+    """Return name, value and note of all figures of a calibration."""
+    rows = tuple(summary_rows(c))
+    return TextTable("All figures", ("figure", "value", "note"), rows, wraps=True)
+
+
+def segment_sections(c: Parts[Calibration]) -> tuple[Section, ...]:
+    """Return the segments side by side, then one after the other."""
     words = (
-        "Each is a body of its own: it was balanced by itself, with its own weight, B and torques."
+        "Each segment is calibrated separately, with its own weight, B and torques. If the command"
+        f" at the end of this page was given data, add --segment {c.numbers[0]} for a page with"
+        " residuals and modes of one segment."
     )
-    words += (
-        f" With --segment {c.numbers[0]} added, the command at the end of this page makes one with"
-        " its residuals and modes, where it was given the data."
-    )
-    table = TextTable(counted(c.numbers, "segment"), SEGMENT_HEAD, rows)
-    yield Section("segments", "Segments", (words,), tables=(table,))
+    head = ("segment", "range of alpha", "verdict, error and B")
+    table = TextTable(counted(c.numbers, "segment"), head, tuple(summary_rows(c)), wraps=True)
+    sections = [Section("segments", "Segments", (words,), tables=(table,))]
     for number in c.numbers:
         key, title = f"segment-{number}", f"Segment {number}"
         if number in c.failed:
-            yield Section(key, title, ("No alpha.", *map(as_sentences, c.failed[number])))
+            told = ("No alpha.", *map(as_sentences, c.failed[number]))
+            sections.append(Section(key, title, told))
             continue
         one = c.found[number]
-        faults = map(as_sentences, one.verdict.faults)
-        numbers = TextTable(
-            "All figures", ("figure", "value", "note"), tuple(summary_rows(one)), wraps=True
-        )
-        said = f"{headline(one)}. The verdict: {one.verdict.level}."
-        yield Section(key, title, (said, *faults), tables=(numbers,))
+        told = (f"{headline(one)}. Verdict: {one.verdict.level}.",
+                *map(as_sentences, one.verdict.faults))  # fmt: skip
+        sections.append(Section(key, title, told, tables=(all_figures(one),)))
+    return tuple(sections)
 
 
 def changed_segments(change: Change) -> TextTable:
-    """Return the table of what changed, segment by segment."""
+    """Return the table of what changed, by segment."""
     rows = []
     for number in change.one.layout.segments:
         part = change.segments.get(number)
@@ -274,27 +247,6 @@ def changed_segments(change: Change) -> TextTable:
         rows.append((str(number), ratio, str(part.changed.size), largest))
     head = ("segment", "common ratio, second to first", "changed actuators", "largest change")
     return TextTable(counted(rows, "segment"), head, tuple(rows))
-
-
-def _segment_row(c: Parts[Calibration], number: int) -> tuple[str, ...]:
-    own = c.layout.segment == number
-    count = str(int(np.count_nonzero(c.layout.enabled[own])))
-    if number in c.failed:
-        return (str(number), str(Level.NONE), count, *[""] * (len(SEGMENT_HEAD) - 3))
-    one = c.found[number]
-    weighed = np.isfinite(one.bias_force)
-    return (
-        str(number),
-        str(one.verdict.level),
-        count,
-        f"{np.nanmean(one.alpha):.4f}",
-        percent(typical(one.error, one.alpha)),
-        percent(typical(one.systematic_error, one.alpha)) if weighed else "",
-        with_error(one.bias_force, one.bias_force_error) if weighed else "",
-        significant(1e3 * one.noise, 3) if np.isfinite(one.noise) else "",
-        significant(one.goodness.reduced, 3) if one.goodness else "",
-        str(one.rejected),
-    )
 
 
 def modal_sections(findings: Findings) -> Iterator[Section]:
@@ -311,49 +263,37 @@ def modal_sections(findings: Findings) -> Iterator[Section]:
 def _stiffness_modes(modes: ModalFindings) -> Section:
     values = modes.after.modes.stiffness
     elastic = values[3:]
-    negative = elastic[elastic < 0.0]
-    softest, stiffest = elastic[elastic > 0.0].min(initial=np.inf), elastic.max()
-    rigid = ", ".join(stiffness_text(value) for value in values[:3])
+    softest = elastic[elastic > 0.0].min(initial=np.inf)
+    rigid = ", ".join(map(stiffness_text, values[:3]))
+    negative = counted(elastic[elastic < 0.0], "elastic mode")
     words = [
-        f"Of {counted(values, 'mode')} the softest elastic one has {stiffness_text(softest)}, the"
-        f" stiffest {stiffness_text(stiffest)}. Piston and tilts bend nothing; bias magnets and"
-        f" errors leave them {rigid}.",
+        f"{counted(values, 'mode')}. Elastic modes: {stiffness_text(softest)} to"
+        f" {stiffness_text(elastic.max())}; {negative} with negative stiffness (of a body: 0)."
+        f" Rigid-body modes: {rigid} (of a free body without bias magnets: 0)."
     ]
-    if negative.size:
-        words.append(
-            f"{counted(negative, 'elastic mode')} with negative stiffness, down to"
-            f" {stiffness_text(float(negative.min()))}: no elastic body has any."
-        )
     if compared := comparison_text(modes):
-        words.append(f"Modes found with alpha = 1 lie {compared}.")
+        words.append(f"Modes with alpha = 1: {compared}.")
     if modes.measured is not None:
         texts = filter(None, (measured_text(modes.measured), rigid_text(modes.measured)))
         words.append(f"Measured stiffness: {'; '.join(texts)}.")
     if gains := sensor_gains_text(modes.after):
-        words.append(f"Gains of the sensors: {gains}.")
+        words.append(f"Sensor gains: {gains}.")
     words += [f"Warning: {as_sentences(each)}" for each in modes.warnings]
     rows = (
         ("asymmetry", *map(percent, modes.asymmetry)),
-        ("out of balance", *map(percent, modes.imbalance)),
-    )
-    drawn = [f"{k + 1}: {stiffness_text(values[k])}" for k in chosen_modes(values.size)]
-    caption = (
-        "Maps of modes, seen along -z, softest first: each actuator's displacement in terms of the"
-        " mode's largest, one way purple, the other orange. Modes and their stiffness:"
-        f" {'; '.join(drawn)}."
+        ("imbalance", *map(percent, modes.imbalance)),
     )
     table = TextTable("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
+    drawn = [f"{k + 1}: {stiffness_text(values[k])}" for k in chosen_modes(values.size)]
+    caption = (
+        "Maps of modes, seen along -z, softest first: displacement of each actuator relative to the"
+        f" largest of the mode. Modes and their stiffness: {'; '.join(drawn)}."
+    )
     return Section("modes", "Stiffness modes", tuple(words), "modes", caption, (table,))
 
 
 def _turbulence(base: ModalBase) -> Section:
-    count = base.modes.stiffness.size
-    half = count // 2
-    left = ", ".join(f"{1e9 * cost.residual[half - 1]:.3g} nm {cost.base}" for cost in base.costs)
-    caption = (
-        "Rms wavefront that the first N modes of three bases leave on the actuators. After"
-        f" {half} of {count}: {left}."
-    )
+    caption = "Rms residual wavefront on the actuators after the first N modes of three bases."
     words = (f"For {turbulence_text(base)}.", f"Between actuators: {fitting_error_text(base)}.")
     return Section("turbulence", "Turbulence", words, "modes-residual", caption)
 
@@ -361,19 +301,17 @@ def _turbulence(base: ModalBase) -> Section:
 def _dissipation(base: ModalBase) -> Section:
     cost = base.costs[0]
     caption = (
-        "Mean power of the worst coil (full) and of all coils (dotted), static force included,"
-        " against the number of modes. With all"
-        f" {cost.residual.size}: {cost.power[:, -1].max():.2g} W and"
-        f" {cost.power[:, -1].mean():.2g} W."
+        "Mean power of the worst coil (solid) and of all coils (dotted), static force included,"
+        " against the number of modes."
     )
     words = (
         f"Static force of the actuators: {static_force_text(cost)}.",
-        "truenewton modes --power W --force N tells how many modes a limit allows.",
+        "truenewton modes --power W --force N prints the number of modes within a limit.",
     )
     head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",
             "worst (mN)", "power mean (W)", "worst (W)", "total (W)")  # fmt: skip
     table = TextTable(
-        "Rms wavefront that N modes of each base leave; force and power of N stiffness modes",
+        "Residual wavefront after N modes of each base; force and power of N stiffness modes",
         head, tuple(cost_rows(base)),
     )  # fmt: skip
     return Section("dissipation", "Dissipation", words, "modes-power", caption, (table,))

@@ -1,7 +1,7 @@
-"""The views of the actuators, on the map and ring by ring, for Bokeh: they share one selection.
+"""Interactive views of the actuators, by map and by ring, for Bokeh, with one selection.
 
-All share one source. No text that comes from a file enters a figure, since Bokeh reads text between
-certain signs as formulas, but for what a tooltip shows, which it takes as it is.
+Text from files must not enter a figure, since Bokeh reads text between certain signs as formulas;
+tooltips are not affected.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.estimation.findings.estimate import Scale, typical
+from truenewton.calibration.result import AnyCalibration
 from truenewton.figures.maps import (
     bears_names,
     dot_radius,
@@ -47,19 +46,19 @@ from truenewton.figures.maps import (
     segment_places,
 )
 from truenewton.figures.style import ACCENT, ALARM, CROWDED, FAINT, INK, MILLIMETRE, NAMED
-from truenewton.records.parts import Parts
+from truenewton.records.parts import has_parts
 from truenewton.report.change import Change
-from truenewton.report.findings import Findings
+from truenewton.report.evidence import Evidence
 from truenewton.report.layers import Layer, calibration_layers, segment_layers
-from truenewton.rounding import counted, percent, to_digits
-from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
+from truenewton.rounding import counted
+from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
 
 FONT = "system-ui, sans-serif"
 Plot = Any  # a figure of Bokeh, whose stubs lack many options
 
 
 def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSource:
-    """Return what all views of the actuators share: positions, values and texts of every layer."""
+    """Return the data that all views share: positions, values and texts of every layer."""
     columns: dict[str, Any] = {
         "id": layout.id.astype(np.int32),
         group_name(layout): _shown_groups(layout),
@@ -87,10 +86,7 @@ def mirror_map(
     layers: tuple[Layer, ...],
     edges: Sequence[Array] = (),
 ) -> Plot:
-    """Return the map of the actuators; the page changes the layer that colours it.
-
-    With it the edges of the glass, (vertices, 2) polygons [m], where they are known.
-    """
+    """Return the map of the actuators, coloured by the first layer, with edges of the glass [m]."""
     plot = _empty_plot(sizing_mode="scale_width", aspect_ratio=0.92, match_aspect=True)
     plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm)", "y (mm)"
     plot.grid.visible = False
@@ -141,7 +137,7 @@ def palette(layer: Layer) -> tuple[str, ...]:
 def alpha_by_ring(
     source: ColumnDataSource, calibration: AnyCalibration, layers: tuple[Layer, ...]
 ) -> Plot:
-    """Return alpha per actuator, ring by ring, with bars of three errors from the readings."""
+    """Return alpha by ring, with bars of 3 E_STAT."""
     plot, layout = _empty_plot(), calibration.layout
     alpha, error = calibration.column("alpha"), calibration.column("reading_error")
     source.data["low"], source.data["high"] = alpha - 3 * error, alpha + 3 * error
@@ -153,7 +149,7 @@ def alpha_by_ring(
 
 
 def change_by_ring(source: ColumnDataSource, change: Change, layers: tuple[Layer, ...]) -> Plot:
-    """Return the change per actuator in sigmas, and how far chance alone reaches."""
+    """Return the change by ring in sigmas, with the limit."""
     plot = _empty_plot()
     for level in (-change.limit, 0.0, change.limit):
         plot.add_layout(Span(location=level, dimension="width", line_color=FAINT,
@@ -166,7 +162,7 @@ def change_by_ring(source: ColumnDataSource, change: Change, layers: tuple[Layer
 def _actuator_points(
     plot: Plot, source: ColumnDataSource, layout: Layout, key: str, layers: tuple[Layer, ...]
 ) -> None:
-    """Draw a value per actuator, ring by ring."""
+    """Draw a value of each actuator, ring by ring."""
     dots = plot.scatter(
         x="number", y=key, source=source, size=7 if layout.n <= NAMED else 4, color=ACCENT,
         selection_color=ALARM, selection_line_color=INK, nonselection_alpha=0.25,
@@ -191,7 +187,7 @@ def _actuator_points(
 
 
 def _empty_plot(**size: Any) -> Plot:
-    """Return an empty figure in the page's looks, as wide as the page where no size is given."""
+    """Return an empty figure in the style of the page, by default as wide as the page."""
     size = size or {"sizing_mode": "stretch_width", "height": 300}
     tools = [PanTool(), BoxZoomTool(), WheelZoomTool(), ResetTool(), SaveTool()]
     plot = figure(tools=tools, toolbar_location="above", min_border=4, **size)
@@ -207,7 +203,7 @@ def _empty_plot(**size: Any) -> Plot:
 
 
 def _add_actuator_tools(plot: Plot, dots: Any, layout: Layout, layers: tuple[Layer, ...]) -> None:
-    """Let the pointer tell of an actuator in full, and select actuators in all views."""
+    """Add tooltips, and tools that select actuators in all views."""
     group = group_name(layout)
     tooltips = [("actuator", "@id"), (group, f"@{group}"), ("x, y", "@x{0.0}, @y{0.0} mm")]
     tooltips += [(layer.name, f"@{layer.key}_text {layer.unit}".rstrip()) for layer in layers]
@@ -221,7 +217,7 @@ def _add_actuator_tools(plot: Plot, dots: Any, layout: Layout, layers: tuple[Lay
 
 @dataclass(frozen=True)
 class View:
-    """An interactive figure of the actuators: for links, for people, of Bokeh, and in words."""
+    """A figure of Bokeh: its key for links, its title, and the same in words."""
 
     key: str
     title: str
@@ -231,17 +227,7 @@ class View:
 
 @dataclass(frozen=True)
 class Actuators:
-    """What the page shows of the actuators.
-
-    Attributes
-    ----------
-    layout
-        The actuators.
-    layers
-        What is known of them.
-    views
-        The map first, then a figure by ring.
-    """
+    """The actuators with their layers; the map first, then a figure by ring."""
 
     layout: Layout
     layers: tuple[Layer, ...]
@@ -249,52 +235,43 @@ class Actuators:
 
     @property
     def group(self) -> str:
-        """By what the second figure and the table group them: 'ring' or 'segment'."""
+        """'ring' or 'segment': the groups of the second figure and the table."""
         return group_name(self.layout)
 
 
-def calibration_views(findings: Findings, c: Calibration, edges: Sequence[Array] = ()) -> Actuators:
+def calibration_views(
+    c: AnyCalibration, evidence: Evidence | None, edges: Sequence[Array] = ()
+) -> Actuators:
     """Return the views of alpha; edges of the glass are (vertices, 2) polygons [m]."""
-    layers = calibration_layers(c, findings.evidence)
-    source = actuator_source(c.layout, layers)
-    views = (
-        _map("Map of the mirror", source, c.layout, layers, edges, _extremes(c)),
-        View("rings", "Alpha by ring" if ring_of(c.layout).any() else "Alpha by actuator",
-             alpha_by_ring(source, c, layers), _ring_caption(c)),
-    )  # fmt: skip
-    return Actuators(c.layout, layers, views)
-
-
-def segment_views(c: Parts[Calibration], edges: Sequence[Array] = ()) -> Actuators:
-    """Return the views of alpha of all segments; edges (vertices, 2) [m]."""
-    layers = segment_layers(c)
-    source = actuator_source(c.layout, layers)
-    means = ", ".join(f"{n}: {np.nanmean(one.alpha):.3f}" for n, one in c.found.items())
+    layers = segment_layers(c) if has_parts(c) else calibration_layers(c, evidence)
+    source, group = actuator_source(c.layout, layers), group_name(c.layout)
+    groups, alpha = _shown_groups(c.layout), c.column("alpha")
+    means = [
+        f"{k}: {np.nanmean(alpha[groups == k]):.3f}" for k in np.unique(groups[alpha == alpha])
+    ]
+    by = f"by {group}" if len(set(groups)) > 1 else "by actuator"
     caption = (
-        "Alpha of each actuator, segment by segment. Bars: three standard uncertainties from the"
-        f" readings (3 E_STAT). Means of the segments: {means}."
+        f"Alpha {by}. Bars: three standard uncertainties from the readings (3 E_STAT)."
+        f" Means by {group}: {', '.join(means)}."
     )
     views = (
         _map("Map of the mirror", source, c.layout, layers, edges),
-        View("rings", "Alpha by segment", alpha_by_ring(source, c, layers), caption),
-    )  # fmt: skip
+        View("rings", f"Alpha {by}", alpha_by_ring(source, c, layers), caption),
+    )
     return Actuators(c.layout, layers, views)
 
 
 def change_views(change: Change, edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of what changed; edges (vertices, 2) [m]."""
     layers, layout = change.layers, change.one.layout
-    source = actuator_source(layout, layers)
-    kind, title = "ring by ring from the centre", "Change by ring"
-    if layout.segments:
-        kind, title = "segment by segment", "Change by segment"
-    ring_caption = (
-        f"Change of each actuator in sigmas, {kind}. Between the dashed lines"
-        f" ({change.limit:.1f} sigma) chance alone explains it."
+    source, title = actuator_source(layout, layers), f"Change by {group_name(layout)}"
+    caption = (
+        f"{title}, in sigmas. The dashed lines ({change.limit:.1f} sigma) are exceeded by chance in"
+        " 1 % of comparisons."
     )
     views = (
         _map("Map of the change", source, layout, layers, edges),
-        View("rings", title, change_by_ring(source, change, layers), ring_caption),
+        View("rings", title, change_by_ring(source, change, layers), caption),
     )
     return Actuators(layout, layers, views)
 
@@ -305,39 +282,10 @@ def _map(
     layout: Layout,
     layers: tuple[Layer, ...],
     edges: Sequence[Array],
-    extremes: str = "",
 ) -> View:
     glass = " Lines are the edges of the glass." if edges else ""
     caption = (
-        f"Map of {counted(layout.n, 'actuator')}, seen along -z, each dot coloured by the layer"
-        f" chosen below.{glass}{extremes} The table of actuators holds every value."
+        f"Map of {counted(layout.n, 'actuator')}, seen along -z, coloured by the layer selected"
+        f" below.{glass} The table of actuators contains all values."
     )
     return View("map", title, mirror_map(source, layout, layers, edges), caption)
-
-
-def _extremes(c: Calibration) -> str:
-    low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
-    ring = ring_of(c.layout)
-    lowest, highest = (
-        f"actuator {c.layout.id[k]}{f' on ring {ring[k] + 1}' if ring.any() else ''}"
-        f" ({to_digits(float(c.alpha[k]), float(c.error[k]))})"
-        for k in (low, high)
-    )
-    return f" Alpha is lowest at {lowest} and highest at {highest}."
-
-
-def _ring_caption(c: Calibration) -> str:
-    """Say in words what alpha by ring shows."""
-    ring = ring_of(c.layout)
-    means = [float(np.nanmean(c.alpha[ring == k])) if np.isfinite(c.alpha[ring == k]).any()
-             else float("nan") for k in range(ring.max() + 1)]  # fmt: skip
-    order = ", ring by ring from the centre" if ring.any() else ""
-    words = f"Alpha of each actuator{order}. Bars: three standard"
-    words += " uncertainties from the readings (3 E_STAT)"
-    if c.scale != Scale.MEAN_ONE:
-        scale = percent(typical(c.systematic_error, c.alpha))
-        words += f"; the error of the common scale, {scale}, moves all points together"
-    words += ". "
-    if len(means) == 1:
-        return words + f"The mean is {means[0]:.3g}."
-    return words + "Means of the rings: " + ", ".join(f"{mean:.3f}" for mean in means) + "."
