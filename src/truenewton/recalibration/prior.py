@@ -167,7 +167,7 @@ def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
     if "CALIBRATION" in file.extensions:
         found: AnyCalibration = body_or_parts_from(file, CALIBRATIONS)
         return found
-    raise FormatError("is no calibration", remedy=remedy, path=os.fspath(path))
+    raise FormatError("is not a calibration", remedy=remedy, path=os.fspath(path))
 
 
 def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
