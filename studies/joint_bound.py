@@ -8,7 +8,7 @@ import itertools
 
 import numpy as np
 
-from truenewton.estimation.reciprocity.sensor_model import Values, sight
+from truenewton.estimation.reciprocity.sensor_model import Values, sensors_at
 
 
 def free_basis(places):
@@ -42,7 +42,7 @@ class BruteForce:
 
     def sides(self, values):
         """Return what stands left and right of K in the whitened model."""
-        motion = sight(self.places, values, slopes=self.slopes).motion
+        motion = sensors_at(self.places, values, slopes=self.slopes).motion
         return self.rows / values.alpha, motion @ (values.gain[:, None] * self.columns)
 
     def model(self, values, stiffness):

@@ -22,7 +22,7 @@ import numpy as np
 import truenewton as tn
 from studies.modal_truth import score_modes
 from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
-from truenewton.estimation.reciprocity.sensor_model import at_nominal, places_of, sight
+from truenewton.estimation.reciprocity.sensor_model import at_nominal, places_of, sensors_at
 from truenewton.mirrors.sensor_model import sensor_model
 from truenewton.modal.findings import compare_modes, find_modes
 from truenewton.modal.modal_base import Dissipation, dissipation, modal_base
@@ -75,7 +75,7 @@ def of_sensors(seeds: int) -> None:
         offset = OFFSET * np.random.default_rng([seed, 5]).standard_normal((2, places.n))
         for name, far in (("at their magnets", 0.0 * offset), ("0.5 mm off", offset)):
             values = replace(at_nominal(places.n), offset=far)
-            seen = sight(places, values, slopes=bool(far.any()))
+            seen = sensors_at(places, values, slopes=bool(far.any()))
             back = np.linalg.solve(seen.motion, places.motion).T
             campaign = Campaign(
                 tuple(replace(c, position=c.position @ back) for c in run_cycles(bench, 2))

@@ -22,7 +22,7 @@ from truenewton.estimation.reciprocity.sensor_model import (
     Kind,
     Request,
     places_of,
-    sight,
+    sensors_at,
 )
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.sensor_model import model_sensors
@@ -49,7 +49,7 @@ def matrix_of(
         elastic = np.eye(n) - rigid @ rigid.T
         wrong = elastic @ wrong @ elastic
     stiffness = stiffness + wrong
-    motion = sight(places_of(layout), values, slopes=bool(offset)).motion
+    motion = sensors_at(places_of(layout), values, slopes=bool(offset)).motion
     stiffness = stiffness @ (motion * values.gain) / values.alpha[:, None]
     stiffness = with_noise(random, stiffness, values).stiffness
     if dead:

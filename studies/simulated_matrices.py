@@ -7,7 +7,7 @@ import numpy as np
 from truenewton.estimation.reciprocity.information import information
 from truenewton.estimation.reciprocity.iteration import point_at
 from truenewton.estimation.reciprocity.regression import Regressed
-from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sight
+from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sensors_at
 from truenewton.mirrors.known import p45, ring
 from truenewton.mirrors.shell.shell_model import (
     condense,
@@ -53,7 +53,7 @@ def drawn(random, n, gain=0.004, offset=0.0):
 
 def by_plate(layout, stiffness, values, offsets=True):
     """Return K_c of a stiffness made symmetric; offset sensors see what a thin plate would do."""
-    motion = sight(places_of(layout), values, slopes=offsets).motion
+    motion = sensors_at(places_of(layout), values, slopes=offsets).motion
     return (0.5 * (stiffness + stiffness.T)) @ (motion * values.gain) / values.alpha[:, None]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from studies.joint_bound import free_basis
-from truenewton.estimation.reciprocity.sensor_model import Places, Values, sight
+from truenewton.estimation.reciprocity.sensor_model import Places, Values, sensors_at
 from truenewton.statics.layout import rings
 
 
@@ -32,5 +32,5 @@ def random_values(random, n, offset=5e-4):
 def measured(places, values, stiffness):
     """Return K_c without noise."""
     slopes = bool(values.offset.any())
-    motion = sight(places, values, slopes=slopes).motion
+    motion = sensors_at(places, values, slopes=slopes).motion
     return stiffness @ (motion * values.gain) / values.alpha[:, None]

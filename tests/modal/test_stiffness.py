@@ -20,7 +20,7 @@ from truenewton.estimation.findings.estimate import Sensor
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.readings import repeats
 from truenewton.estimation.readings.row_readers import read_rows
-from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sight
+from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sensors_at
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
@@ -324,7 +324,7 @@ def test_places_of_the_sensors_that_the_calibration_knows_are_used_by_id():
     k, matrix, gain, calibration = known()
     offset = 5e-4 * np.random.default_rng(3).standard_normal((2, 45))
     values = Values(np.zeros(45), np.log(gain), offset)
-    seen = sight(places_of(matrix.layout), values, slopes=True).motion * gain
+    seen = sensors_at(places_of(matrix.layout), values, slopes=True).motion * gain
     moved = replace(matrix, stiffness=k @ seen / calibration.alpha[:, None])
     sighted = with_sensors(calibration, gain, offset.T)
     found = true_stiffness(moved, sighted)

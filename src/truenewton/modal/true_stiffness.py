@@ -32,7 +32,7 @@ from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.estimation.matrix.screen import as_calibrated
-from truenewton.estimation.reciprocity.sensor_model import Places, places_of, seen_from
+from truenewton.estimation.reciprocity.sensor_model import Places, motion_from, places_of
 from truenewton.linalg import ROWS_AT_ONCE, symmetrised
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -200,7 +200,7 @@ class TrueStiffness:
         gain = self.enabled_gain[:, None]
         if self.places.motion is None and not self.enabled_offset.any():
             return np.asarray(moved / gain)
-        factors = lu_factor(seen_from(self.places, self.enabled_offset), overwrite_a=True)
+        factors = lu_factor(motion_from(self.places, self.enabled_offset), overwrite_a=True)
         return np.asarray(lu_solve(factors, moved) / gain)
 
     @property
@@ -269,7 +269,7 @@ def true_stiffness(
     k = alpha[:, None] * matrix.used_stiffness
     k /= gain
     if places.motion is not None or offset.any():
-        factors = lu_factor(seen_from(places, offset).T, overwrite_a=True)
+        factors = lu_factor(motion_from(places, offset).T, overwrite_a=True)
         k = np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
     skew, size = (_row_norms(k, sign) for sign in (-1.0, 1.0))
     symmetric = symmetrised(k)

@@ -36,7 +36,13 @@ from truenewton.estimation.reciprocity.regression import (
     kept_places,
     odd_actuators,
 )
-from truenewton.estimation.reciprocity.sensor_model import Kind, Request, Values, places_of, sight
+from truenewton.estimation.reciprocity.sensor_model import (
+    Kind,
+    Request,
+    Values,
+    places_of,
+    sensors_at,
+)
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import mmt336, p45, ring
 from truenewton.mirrors.sensor_model import puck_motion, sensor_model
@@ -84,12 +90,12 @@ def test_displacements_change_with_offsets_as_the_slopes_say(model):
     places = model(small_places())
     values = random_values(np.random.default_rng(0), places.n)
     z = np.random.default_rng(1).standard_normal(places.n)
-    seen = sight(places, values, slopes=True)
+    seen = sensors_at(places, values, slopes=True)
     for kind, slopes in zip((Kind.X, Kind.Y), seen.slopes, strict=True):
         for j in (0, 7):
             step = 1e-7 * (np.arange(places.n) == j)
             up, down = (
-                sight(places, shifted(values, s * step, [kind]), slopes=True).motion @ z
+                sensors_at(places, shifted(values, s * step, [kind]), slopes=True).motion @ z
                 for s in (1, -1)
             )
             expected = seen.motion[:, j] * (slopes @ z)[j]
@@ -100,7 +106,7 @@ def test_a_plate_that_is_plane_is_seen_as_it_is():
     places = small_places()
     values = random_values(np.random.default_rng(0), places.n)
     dx, dy = values.offset
-    seen = sight(places, values, slopes=True)
+    seen = sensors_at(places, values, slopes=True)
     read = 1.0 + 2.0 * (places.x - dx) - 3.0 * (places.y - dy)
     np.testing.assert_allclose(seen.motion @ read, 1 + 2 * places.x - 3 * places.y, rtol=1e-10)
     np.testing.assert_allclose(seen.slopes[0] @ read, 2.0, rtol=1e-9)
@@ -206,7 +212,7 @@ def test_with_a_model_of_the_glass_the_readings_of_annuli_fit():
 
 def asymmetry_of_work(places, values, stiffness):
     """Return |T - T'| / |T + T'| of all readings, at the values."""
-    moved = sight(places, values, slopes=True).motion * values.gain
+    moved = sensors_at(places, values, slopes=True).motion * values.gain
     work = moved.T @ (values.alpha[:, None] * stiffness)
     return np.linalg.norm(work - work.T) / np.linalg.norm(work + work.T)
 

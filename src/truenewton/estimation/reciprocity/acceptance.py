@@ -1,4 +1,4 @@
-"""Whether reciprocity is accepted, what speaks against it, and what it finds of the sensors."""
+"""Whether reciprocity is accepted, what contradicts it, and the estimated sensors."""
 
 from __future__ import annotations
 
@@ -20,62 +20,39 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.reciprocity.iteration import Fit
 from truenewton.estimation.reciprocity.sensor_model import OFFSETS, Kind
 
-# Of simulated stiffnesses of P45 these keep those whose alpha is better with reciprocity than by
+# Simulated stiffnesses of P45 within these limits have a better alpha with reciprocity than by
 # balance alone (docs/reciprocity.md).
-MAX_HELD_OUT_RATIO = 1.15  # held-out imbalance in terms of that of balance alone
+MAX_HELD_OUT_RATIO = 1.15  # held-out imbalance relative to that of balance alone
 MAX_CHI2_BETWEEN = 6.0  # chi2 per degree of freedom between balance alone and reciprocity alone
-MAX_BLOCK_CHI2 = 1.5  # chi2 per degree of freedom of a block, where the noise is known
+MAX_BLOCK_CHI2 = 1.5  # chi2 per degree of freedom of a block, if the noise is known
 MAX_OFFSET_SPREAD = 1.2e-3  # rms offset of the sensors along an axis [m]
-# Error of reciprocity on no mirror; that of ml in terms of it.
+# No mirror has such an error of reciprocity together with such a ratio of the error of ml to it.
 SENSELESS_ERROR, SURE_ERROR_RATIO = 0.1, 0.03
 BLOCKS = ("balance", "rigid motions", "reciprocity")
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What there is for and against reciprocity; NaN where nothing tells.
+    """Evidence for and against reciprocity; NaN if not available."""
 
-    Attributes
-    ----------
-    blocks
-        chi2 per degree of freedom of `BLOCKS`, against noise that is known.
-    held_out, by_balance
-        Rms imbalance of modes that the fit has not seen, with reciprocity and by balance alone.
-    apart
-        chi2 per degree of freedom between alpha by balance alone and by reciprocity alone.
-    as_stated
-        The same by the covariances of the fits, to which noise is one of modes.
-    odd
-        Actuators that are not like the others; more than may be left free.
-    transposed
-        Whether rows and columns look exchanged.
-    disturbed
-        Whether something pushes many actuators at once, from reading to reading.
-    untried
-        Number of actuators, where nobody has held errors of so many against the truth.
-    error, error_by_balance
-        Typical relative E_STAT, with reciprocity and of `ml`.
-    gain_spread, offset_spread
-        Spreads of log g and of the offsets [m], as the data give them.
-    """
-
-    blocks: tuple[float, ...] = ()
-    held_out: float = float("nan")
-    by_balance: float = float("nan")
+    blocks: tuple[float, ...] = ()  # chi2 per degree of freedom of `BLOCKS`, against known noise
+    held_out: float = float("nan")  # rms imbalance of held-out modes, with reciprocity
+    by_balance: float = float("nan")  # the same by balance alone
+    # chi2 per degree of freedom between alpha by balance alone and by reciprocity alone
     apart: float = float("nan")
-    as_stated: float = float("nan")
-    odd: tuple[int, ...] = ()
-    transposed: bool = False
-    disturbed: bool = False
-    untried: int = 0
-    error: float = float("nan")
-    error_by_balance: float = float("nan")
-    gain_spread: float = float("nan")
-    offset_spread: float = float("nan")
+    as_stated: float = float("nan")  # the same by the covariances of the fits, for noise of modes
+    odd: tuple[int, ...] = ()  # actuators unlike the others, if more than may be left free
+    transposed: bool = False  # whether the matrix looks transposed
+    disturbed: bool = False  # whether readings of many actuators share noise
+    untried: int = 0  # number of actuators, if errors of so many were never verified
+    error: float = float("nan")  # typical relative E_STAT with reciprocity
+    error_by_balance: float = float("nan")  # the same with `ml`
+    gain_spread: float = float("nan")  # of log g, estimated
+    offset_spread: float = float("nan")  # of the offsets [m], estimated
 
 
 def refusals(evidence: Evidence) -> Iterator[Finding]:
-    """Yield why reciprocity is not to be believed."""
+    """Yield why reciprocity is not accepted."""
     if evidence.odd:
         yield Finding.of(Code.MISFIT_ACTUATORS, count=len(evidence.odd))
     if evidence.transposed:
@@ -113,13 +90,13 @@ def failed(error: TrueNewtonError) -> Finding:
 
 
 def doubts(against: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return of an answer by reciprocity what speaks against it."""
+    """Return what contradicts a result by reciprocity."""
     return tuple(Finding.of(Code.RECIPROCITY_DOUBTFUL, cause=each) for each in against)
 
 
 @contextmanager
 def advising_ml() -> Iterator[None]:
-    """Let a refusal of reciprocity advise `ml`: only where `ml` was not taken already."""
+    """Add the advice to use `ml` to errors of reciprocity."""
     try:
         yield
     except (RankDeficient, NotConverged) as error:
@@ -127,7 +104,7 @@ def advising_ml() -> Iterator[None]:
 
 
 def instead(against: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return of an answer by `ml` why it is not by reciprocity, and what speaks against both."""
+    """Return why a result is by `ml` and not by reciprocity, and what contradicts both."""
     return tuple(
         each
         if each.code is Code.BALANCE_CONTRADICTS_SYMMETRY
@@ -137,20 +114,14 @@ def instead(against: Iterable[Finding]) -> tuple[Finding, ...]:
 
 
 def disagreement(one: Fit, other: Fit) -> float:
-    """Return the variance between the log alpha of two independent fits over what they state.
-
-    1 at least: what two halves of the modes leave is more than noise where it is larger.
-    """
+    """Return the variance between log alpha of two independent fits over that stated."""
     difference = one.values.log_alpha - other.values.log_alpha
     stated = sum(float(np.trace(fit.covariance_of(Kind.ALPHA))) for fit in (one, other))
     return max(1.0, len(difference) * float(np.var(difference)) / stated)
 
 
 def apart(one: Fit, other: Fit, excess: float, other_excess: float) -> float:
-    """Return chi2 per degree of freedom between the log alpha of two independent fits.
-
-    Their covariances are so much larger than stated.
-    """
+    """Return chi2 per degree of freedom between two independent fits, with excess variances."""
     difference = one.values.log_alpha - other.values.log_alpha
     difference = difference - difference.mean()
     covariance = excess * one.covariance_of(Kind.ALPHA)
@@ -161,7 +132,7 @@ def apart(one: Fit, other: Fit, excess: float, other_excess: float) -> float:
 
 
 def errors_of_sensors(fit: Fit) -> dict[Kind, Array]:
-    """Return (n,) errors of log g and of offsets [m], if asked for, as a fit states them."""
+    """Return (n,) errors of log g and of offsets [m] that a fit states."""
     return {
         kind: np.sqrt(np.maximum(np.diag(fit.covariance_of(kind)), 0.0))
         for kind in fit.asked.kinds[1:]
@@ -174,7 +145,7 @@ def sensors_of(
     ids: NDArray[np.int64],
     keep: NDArray[np.bool_],
 ) -> tuple[Sensor, ...]:
-    """Return the sensors of a fit to those kept of (n,) IDs; what was not asked has no error."""
+    """Return the sensors of a fit to those kept of (n,) IDs."""
     none = np.zeros(int(keep.sum()))
     of_gain, of_x, of_y = (errors.get(kind, none) for kind in (Kind.GAIN, *OFFSETS))
     gain, (dx, dy) = fit.values.gain, fit.values.offset

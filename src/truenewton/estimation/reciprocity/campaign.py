@@ -1,8 +1,8 @@
-"""Reciprocity on a campaign: relative alpha and sensors from POSITION, the scale from the weights.
+"""Reciprocity of a campaign: relative alpha and sensors from POSITION, the scale from the weights.
 
-The stiffness, regressed under all loads together, knows nothing of their means. Those balance the
-weights, and go through the likelihood of `ml` with what reciprocity says of alpha as a prior: so B,
-torques, E_SYST and COVARIANCE are those of `ml`.
+The stiffness, regressed under all loads together, does not depend on their mean forces. These
+balance the weights, and are fitted by the likelihood of `ml` with the alpha of reciprocity as a
+prior: so B, torques, E_SYST and COVARIANCE are those of `ml`.
 """
 
 from __future__ import annotations
@@ -58,27 +58,26 @@ from truenewton.estimation.reciprocity.sensor_model import (
     at_nominal,
     places_of,
 )
-from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 
 METHOD = "reciprocity"
-MIN_START_ALPHA = 0.05  # alpha of `ml` with which an iteration begins
-IMPROBABLE_FIT = 1e-3  # of a fit: beyond, errors grow by what it leaves
+MIN_START_ALPHA = 0.05  # first alpha of an iteration
 
 
 def fit_campaign(
     screened: ScreenedCampaign, motion: Array | None = None, *, where_it_holds: bool = False
 ) -> Estimate:
-    """Find alpha and the sensors of a campaign; what speaks against them is among the warnings.
+    """Return alpha and the sensors of a campaign; contradictions are among the warnings.
 
     Parameters
     ----------
     screened
-        Cycles with POSITION, under two loads at least.
+        Cycles with POSITION, under at least two loads.
     motion
-        (n, n) or (6, n, n) what a model of the glass tells of the sensors (`places_of`).
+        (n, n) or (6, n, n) sensor model of the shell (`places_of`).
     where_it_holds
-        Where reciprocity does not hold, return the estimate by `ml`, which says why.
+        If reciprocity is not accepted, return the estimate by `ml`, with the reason.
 
     Raises
     ------
@@ -106,7 +105,7 @@ def fit_campaign(
 def _found(
     screened: ScreenedCampaign, base: Estimate, motion: Array | None
 ) -> tuple[Estimate, tuple[Finding, ...]]:
-    """Return the estimate, and what speaks against it; ``base`` is that of `ml`."""
+    """Return the estimate and what contradicts it; ``base`` is that of `ml`."""
     campaign, moments = screened.sound, _balancing(screened, base)
     layout, noise = campaign.layout, reading_noise(campaign, moments)
     gradients = {(c.bias_gradient or 0.0, c.coil_gradient or 0.0) for c in campaign.cycles}
@@ -123,7 +122,7 @@ def _found(
     stiffness = condensed_regression(stiffness, keep)
     fitted = fit(places, START_REQUEST, stiffness.states, start=_near(base, keep))
     goodness = _goodness(fitted, stiffness)
-    excess = goodness.reduced if goodness.probability < IMPROBABLE_FIT else 1.0
+    excess = goodness.reduced if goodness.probability < MIN_FIT_PROBABILITY else 1.0
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(campaign), **temperature_errors(campaign, force)}
     problem = problem_of(campaign, noise, errors)
@@ -174,21 +173,21 @@ def _balancing(screened: ScreenedCampaign, base: Estimate) -> Moments:
 
 
 def _near(base: Estimate, keep: NDArray[np.bool_]) -> Values:
-    """Return where to begin, near enough for the quietest readings: alpha of `ml`, about mean 1."""
+    """Return the alpha of `ml` as first values, a good start for the quietest readings."""
     log_alpha = np.log(np.maximum(base.values[: len(keep)][keep], MIN_START_ALPHA))
     start = at_nominal(int(keep.sum()))
     return replace(start, log_alpha=log_alpha - log_alpha.mean())
 
 
 def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:
-    """Return chi2 of all blocks; the noise is known only so well."""
+    """Return chi2 of all blocks, with the degrees of freedom of the noise."""
     chi2, freedom = sum(fitted.chi2), sum(fitted.equations) - sum(fitted.parameters)
     probability = f_sf(chi2 / freedom, freedom, stiffness.noise_freedom)
     return Goodness(chi2, round(freedom), NoiseSource.REPEATS, float(probability))
 
 
 def alpha_information(whole: Array, asked: Request) -> Array:
-    """Return the (n, n) information on log alpha, gains and offsets unknown too, of all (u, u)."""
+    """Return (n, n) information on log alpha with unknown sensors, of all (u, u)."""
     if asked.kinds == (Kind.ALPHA,):
         return whole
     n = len(whole) // len(asked.kinds)
@@ -206,9 +205,10 @@ def _with_weights(
     base: Estimate,
     excess: float,
 ) -> Minimum:
-    """Return the likeliest alpha, B and torques by the mean force under each load.
+    """Return the most likely alpha, B and torques by the mean force under each load.
 
-    Of the actuators that the fit keeps; alpha of the others stays that of the balance.
+    The prior covers the actuators that the fit keeps; alpha of the others stays that of the
+    balance.
     """
     fitted, keep = kept_fit
     unknowns, n = problem.unknowns, problem.n

@@ -1,20 +1,19 @@
-"""The three blocks of equations that a true stiffness obeys, and the likeliest true forces.
+"""The three blocks of equations that a true stiffness obeys, and the information in them.
 
-S = Q'F                  statics: forces of a free shell balance            (3 x m)
-t = W'D_alpha K_c z_R    rigid motions cost no force                        (m x 3)
-A = T - T', T = W'F      reciprocity: virtual work of each state's displacement on the other's
-                         force is the same                                  m (m - 1) / 2
+    S = Q'F                  statics: forces of a free shell balance            (3 x m)
+    t = W'D_alpha K_c z_R    rigid motions cost no force                        (m x 3)
+    A = T - T', T = W'F      reciprocity: the work of each state's displacement on the other's
+                             force is the same                                  m (m - 1) / 2
 
-Score and information of the unknowns, as sums of Hadamard products.
-
-The derivative of T = W'F with respect to each unknown has rank one, dT = p q':
+Score and information of the unknowns are sums of Hadamard products, as the derivative of T = W'F
+with respect to each unknown has rank one, dT = p q':
 
     log alpha_i    p = W'e_i            q = F^'e_i
     log g_j        p = (D_g V)'e_j      q = F^'H e_j
     delta_j        p = (G D_g V)'e_j    q = F^'H e_j
 
-with the likeliest forces F^ in place of F: by the envelope theorem that is the score of the
-likelihood from which the unknown stiffness is eliminated, and noise does not meet noise.
+with the most likely forces F^ in place of F. By the envelope theorem that is the score of the
+likelihood from which the unknown stiffness is eliminated, and noise is not multiplied by noise.
 """
 
 from __future__ import annotations
@@ -34,36 +33,20 @@ from truenewton.linalg import thread_count
 class States:
     """States of the mirror at given unknowns, and the rigid motions beside them.
 
-    W, Q span the displacements at the magnets and X, Y the forces, in duality: W'X = 1, Q'Y = 1,
-    W'Y = Q'X = 0. So do the readings V, z_R with ``dual``: V'dual = 1, z_R'dual = 0.
-
-    Attributes
-    ----------
-    readings, forces, displacements
-        (n, m) V as the sensors read them, F = D_alpha K_c V true, W = H D_g V but for rigid
-        motions.
-    rigid_readings, rigid_forces
-        (n, 3) z_R, and D_alpha K_c z_R, which is nothing but for errors.
-    turn
-        (3, 3) of the rigid readings: z_R = D_g^-1 [nz, (x - dx)/L, (y - dy)/L] turn.
-    rigid
-        (n, 3) Q, rigid motions of the magnets.
-    displaced, balancing
-        (n, m) X and (n, 3) Y.
-    dual
-        (n, m) of the readings.
+    W, Q span the displacements at the magnets and X, Y the forces, with W'X = 1, Q'Y = 1, W'Y = Q'X
+    = 0. Likewise the readings V, z_R with ``dual``: V'dual = 1, z_R'dual = 0.
     """
 
-    readings: Array
-    forces: Array
-    displacements: Array
-    rigid_readings: Array
-    rigid_forces: Array
-    turn: Array
-    rigid: Array
-    displaced: Array
-    balancing: Array
-    dual: Array
+    readings: Array  # (n, m) V
+    forces: Array  # (n, m) true F = D_alpha K_c V
+    displacements: Array  # (n, m) W = H D_g V except for rigid motions
+    rigid_readings: Array  # (n, 3) z_R = D_g^-1 [nz, (x - dx)/L, (y - dy)/L] turn
+    rigid_forces: Array  # (n, 3) D_alpha K_c z_R, only errors
+    turn: Array  # (3, 3) of the rigid readings
+    rigid: Array  # (n, 3) Q, rigid motions of the magnets
+    displaced: Array  # (n, m) X
+    balancing: Array  # (n, 3) Y
+    dual: Array  # (n, m) of the readings
 
     @property
     def count(self) -> int:
@@ -73,31 +56,14 @@ class States:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Of the equations: 1 over the variance of each residual.
+    """Weights of the equations: 1 over the variance of each residual."""
 
-    Attributes
-    ----------
-    statics
-        (3, m) of S = Q'F.
-    rigid
-        (m, 3) of t = W'D_alpha K_c z_R.
-    reciprocity
-        (b, b) of A = T - T', T = W'F, by bins of states.
-    bins
-        The slices of states that are alike.
-    share
-        (m, m) variance of T over that of A: of the difference between T and T', how much the first
-        takes up; None for one half.
-    exact
-        (m, m) weights of A, where these are known state by state.
-    """
-
-    statics: Array
-    rigid: Array
-    reciprocity: Array
-    bins: tuple[slice, ...]
-    share: Array | None = None
-    exact: Array | None = None
+    statics: Array  # (3, m) of S
+    rigid: Array  # (m, 3) of t
+    reciprocity: Array  # (b, b) of A, by bins of states
+    bins: tuple[slice, ...]  # slices of similar states
+    share: Array | None = None  # (m, m) variance of T over that of A; None for one half
+    exact: Array | None = None  # (m, m) weights of A, if known state by state
 
     def every(self, some: slice) -> Weights:
         """Return those of some of the states, in the same bins."""
@@ -114,12 +80,12 @@ class Weights:
 
     @property
     def of_balance(self) -> Weights:
-        """Those of statics, nothing else counting."""
+        """Those of statics only."""
         return replace(self, rigid=0.0 * self.rigid, reciprocity=0.0 * self.reciprocity)
 
     @property
     def of_symmetry(self) -> Weights:
-        """Those of rigid motions and reciprocity, statics not counting."""
+        """Those of rigid motions and reciprocity only."""
         return replace(self, statics=0.0 * self.statics)
 
     @property
@@ -132,24 +98,18 @@ class Weights:
 
 
 def equal_bins(count: int, bins: int) -> tuple[slice, ...]:
-    """Return slices that part so many states into bins of equal number, as nearly as can be."""
+    """Return slices that divide so many states into bins of nearly equal number."""
     edges = np.linspace(0, count, max(1, min(bins, count)) + 1).round().astype(int)
     return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """What the equations leave.
+    """Residuals of the equations."""
 
-    Attributes
-    ----------
-    statics, rigid, work
-        (3, m) S, (m, 3) t, (m, m) T.
-    """
-
-    statics: Array
-    rigid: Array
-    work: Array
+    statics: Array  # (3, m) S
+    rigid: Array  # (m, 3) t
+    work: Array  # (m, m) T
 
     @property
     def reciprocity(self) -> Array:
@@ -167,29 +127,22 @@ class Residuals:
 
 
 def residuals(states: States) -> Residuals:
-    """Return what the states leave of the equations."""
+    """Return the residuals of the states."""
     w = states.displacements
     return Residuals(states.rigid.T @ states.forces, w.T @ states.rigid_forces, w.T @ states.forces)
 
 
 @dataclass(frozen=True, eq=False)
 class Likeliest:
-    """The likeliest true forces of the states, which obey the equations.
+    """The most likely true forces of the states, which obey the equations."""
 
-    Attributes
-    ----------
-    forces
-        (n, m) F^: Q'F^ = 0, W'F^ symmetric.
-    by_reading
-        (n, m) true work on each state by a reading at each sensor: (D_alpha K_c^)' W.
-    """
-
-    forces: Array
+    forces: Array  # (n, m) F^: Q'F^ = 0, W'F^ symmetric
+    # (n, m) true work on each state by a reading at each sensor, (D_alpha K_c^)' W
     by_reading: Array
 
 
 def likeliest(states: States, left: Residuals, weights: Weights) -> Likeliest:
-    """Return the likeliest forces: what is wrong with the measured ones is shared by variance."""
+    """Return the most likely forces: residuals of the measured ones are shared by variance."""
     share = 0.5 if weights.share is None else weights.share
     forces, work = states.forces, left.work
     if weights.statics.any():  # what is not asked for corrects nothing
@@ -200,44 +153,25 @@ def likeliest(states: States, left: Residuals, weights: Weights) -> Likeliest:
     return Likeliest(forces, states.dual @ work.T)
 
 
-MAX_THREADS = 4  # each has memory of its own, some tens of megabytes
-INFORMATION_ROWS = 32  # of actuators at once, so that what is made of them stays in the cache
-
-
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What one kind of unknowns does.
+    """Effect of one kind of unknowns."""
 
-    Attributes
-    ----------
-    p, q
-        (m, n) dT = p_j q_j' for unknown j.
-    rigid
-        (n, 3) c: dt = by_reading_j c_j' for unknown j; None where t does not feel it.
-    """
-
-    p: Array
-    q: Array
+    p: Array  # (m, n) dT = p_j q_j' for unknown j
+    q: Array  # (m, n)
+    # (n, 3) c: dt = by_reading_j c_j' for unknown j; None without effect on t
     rigid: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """All that is known at one place of the unknowns.
-
-    Attributes
-    ----------
-    states, left, weights, fitted
-        As their classes say.
-    designs
-        Of each kind of unknowns that is asked for.
-    """
+    """Everything at one set of values of the unknowns."""
 
     states: States
     left: Residuals
     weights: Weights
     fitted: Likeliest
-    designs: dict[Kind, Design]
+    designs: dict[Kind, Design]  # of each kind of unknowns
 
 
 def designs(
@@ -248,7 +182,7 @@ def designs(
     fitted: Likeliest,
     length: float,
 ) -> dict[Kind, Design]:
-    """Return the design of each kind; ``length`` is that of `sensor_model.Places`."""
+    """Return the design of each kind at given values, with (m, n) p and q."""
     made = {Kind.ALPHA: Design(states.displacements.T, fitted.forces.T)}
     if len(kinds) == 1:
         return made
@@ -266,7 +200,7 @@ def designs(
 
 
 def score(point: Point) -> Array:
-    """Return (u,) the gradient of half the sum of squares."""
+    """Return the (u,) gradient of half the sum of squares."""
     states, left, weights = point.states, point.left, point.weights
     symmetric = bool(weights.reciprocity.any())
     by_rigid = point.fitted.by_reading @ (weights.rigid * left.rigid)
@@ -290,24 +224,16 @@ def score(point: Point) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Leverage:
-    """How much of each block of residuals a fit takes up: sums of leverages.
+    """Sums of leverages: how much of each block of residuals a fit takes up."""
 
-    Attributes
-    ----------
-    statics, rigid
-        (3, b), (b, 3).
-    reciprocity
-        (b, b) of unordered pairs of bins, in either place.
-    """
-
-    statics: Array
-    rigid: Array
-    reciprocity: Array
+    statics: Array  # (3, b)
+    rigid: Array  # (b, 3)
+    reciprocity: Array  # (b, b) of unordered pairs of bins, in either place
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The covariance of the unknowns with the weights that it comes from."""
+    """The (u, u) covariance of the unknowns, with its weights."""
 
     covariance: Array
     weights: Weights
@@ -316,9 +242,9 @@ class Fitted:
 def information(
     point: Point, before: Fitted | None = None, *, single: bool = False
 ) -> tuple[Array, Leverage | None]:
-    """Return (u, u) the information, and the leverages of a fit before, if there was one.
+    """Return the (u, u) information, and the leverages of the fit ``before``, if given.
 
-    In ``single`` precision, which takes half the time, it is good enough for a step.
+    ``single`` precision is sufficient for a step and takes half the time.
     """
     kinds, n = list(point.designs), point.states.readings.shape[0]
     total = np.zeros((n * len(kinds), n * len(kinds)))
@@ -326,17 +252,18 @@ def information(
         point, total = in_single(point), to_single(total)
     bins = len(point.weights.bins)
     taken = Leverage(np.zeros((3, bins)), np.zeros((bins, 3)), np.zeros((bins, bins)))
-    blocks = range(0, n if point.weights.reciprocity.any() else 0, INFORMATION_ROWS)
+    size = 32  # actuators at once, so that their products stay in the cache
+    blocks = range(0, n if point.weights.reciprocity.any() else 0, size)
 
     def add(starts: range) -> list[Array]:
-        # Memory is slow to come by: each thread has its own, once.
-        room = np.empty((4 + 4 * len(kinds), bins, INFORMATION_ROWS * n), total.dtype)
-        some = (slice(start, start + INFORMATION_ROWS) for start in starts)
+        # Allocation is slow: each thread has its own memory, once.
+        room = np.empty((4 + 4 * len(kinds), bins, size * n), total.dtype)
+        some = (slice(start, start + size) for start in starts)
         return [_add_reciprocity(total, point, rows, before, room) for rows in some]
 
     if blocks:
-        count = min(thread_count(), MAX_THREADS, len(blocks))
-        parts = np.empty((len(blocks), bins, bins))  # summed in one order, whoever made them
+        count = min(thread_count(), 4, len(blocks))  # each needs some tens of megabytes
+        parts = np.empty((len(blocks), bins, bins))  # summed in one order, for any threads
         with ThreadPoolExecutor(count) as pool:
             for k, each in enumerate(pool.map(add, (blocks[k::count] for k in range(count)))):
                 parts[k::count] = each
@@ -349,12 +276,12 @@ def information(
 
 
 def to_single(values: Array) -> Array:
-    """Return values of any shape in single precision, (n,) or (n, m)."""
+    """Return values of any shape, such as (n, m), in single precision."""
     return np.asarray(values, dtype=np.float32)
 
 
 def in_single(point: Point) -> Point:
-    """Return a point whose large matrices are in single precision; designs still share q."""
+    """Return a point with large matrices in single precision; designs still share q."""
     q = {id(design.q): to_single(design.q) for design in point.designs.values()}
     made = {
         kind: replace(design, p=to_single(design.p), q=q[id(design.q)])
@@ -367,10 +294,10 @@ def in_single(point: Point) -> Point:
 def _add_reciprocity(
     total: Array, point: Point, some: slice, before: Fitted | None, room: Array
 ) -> Array:
-    """Add sums over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)] to some rows of blocks.
+    """Add sums over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)] to some rows.
 
-    To blocks of the upper triangle. All kinds of unknowns of the sensors share one q. Returned is
-    the (b, b) part of the `Leverage` of these rows.
+    Only blocks of the upper triangle are filled. All kinds of unknowns of the sensors share one q.
+    Returns the (b, b) part of the `Leverage` of these rows.
     """
     weights, designs = point.weights, [*point.designs.values()]
     w, bins, n = weights.reciprocity, len(weights.bins), designs[0].p.shape[1]
@@ -425,7 +352,7 @@ def _add_statics(total: Array, point: Point, before: Fitted | None, taken: Lever
 
 
 def _add_rigid(total: Array, point: Point, before: Fitted | None, taken: Leverage) -> None:
-    """Add the (n, n) sums over the three rigid motions of (c_r d_r') o (KV diag(w) KV')."""
+    """Add the (n, n) sums over rigid motions of (c_r d_r') o (KV diag(w) KV')."""
     kv, weights = point.fitted.by_reading, point.weights
     n = len(kv)
     felt = [(i, d.rigid) for i, d in enumerate(point.designs.values()) if d.rigid is not None]

@@ -1,4 +1,4 @@
-"""Steps to the likeliest unknowns."""
+"""Iteration to the most likely unknowns."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.matrix.columns import SETTLED_STEP
 from truenewton.estimation.reciprocity.information import (
     Fitted,
     Leverage,
@@ -29,50 +30,28 @@ from truenewton.estimation.reciprocity.sensor_model import (
     SensorModel,
     Values,
     at_nominal,
-    sight,
+    sensors_at,
 )
 from truenewton.linalg import inverse_of_positive, thread_count, threads
 
 MAX_STEPS = 40
-SETTLED_STEP = 0.02  # rms step of alpha over its rms error
-# Spreads of log g and of offsets [m] below which they are none: where data do not hold them, each
-# step would find them smaller.
-MIN_GAIN_SPREAD, MIN_OFFSET_SPREAD = 1e-6, 1e-8
-MIN_STEP_RATIO = 0.5  # ratio of successive steps of log spread, from which on they are extrapolated
-MAX_EXTRAPOLATION = 0.7  # of a log spread
 
-# What makes states and weights at a place of the unknowns, told of leverages once they are known.
+# Makes states and weights at given values of the unknowns.
 StatesAt = Callable[[Places, Values, SensorModel], tuple[States, Weights]]
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The likeliest unknowns.
-
-    Attributes
-    ----------
-    values, asked
-        The unknowns; what was asked, with the spreads that the data gave.
-    covariance
-        (u, u) where mean log alpha is 0, and mean log g where it is free.
-    chi2, equations
-        Weighted sum of squares of statics, rigid motions and reciprocity; number of each.
-    parameters
-        (3,) how many unknowns each block determines; NaN where leverages were not asked for.
-    point
-        All else, at the likeliest unknowns.
-    steps
-        Taken.
-    """
+    """The most likely unknowns."""
 
     values: Values
-    asked: Request
-    covariance: Array
-    chi2: tuple[float, float, float]
-    equations: tuple[int, int, int]
+    asked: Request  # the request, with the estimated spreads
+    covariance: Array  # (u, u) where mean log alpha is 0, and mean log g if it is free
+    chi2: tuple[float, float, float]  # of statics, rigid motions and reciprocity
+    equations: tuple[int, int, int]  # number in each block
+    # number of unknowns that each block determines; NaN without leverages
     parameters: tuple[float, float, float]
-    point: Point
-    steps: int
+    point: Point  # everything else, at the most likely unknowns
 
     def covariance_of(self, kind: Kind) -> Array:
         """Return the (n, n) covariance of one kind of unknowns."""
@@ -81,20 +60,20 @@ class Fit:
 
     @property
     def information(self) -> Array:
-        """(u, u) of the unknowns, that of the spreads added; free scales are left free."""
+        """(u, u) information on the unknowns, with that of the spreads; scales are free."""
         whole = information(self.point)[0]
         whole[np.diag_indices(len(whole))] += self.asked.information(len(self.values.log_alpha))
         return whole
 
     @property
     def of_alpha(self) -> Fit:
-        """The fit without the covariance of the sensors, (u, n): that of u unknowns is large."""
+        """The fit with only (u, n) of its covariance, which is large."""
         n = len(self.values.log_alpha)
         return replace(self, covariance=self.covariance[:, :n].copy())
 
     @property
     def asked_again(self) -> Request:
-        """What was asked, the spreads taken for known."""
+        """The request, with known spreads."""
         return replace(self.asked, estimated=False)
 
     @property
@@ -107,8 +86,8 @@ class Fit:
 
 
 def point_at(places: Places, values: Values, asked: Request, states_at: StatesAt) -> Point:
-    """Return all that is known at a place of the unknowns."""
-    seen = sight(places, values, slopes=bool(asked.offset_spread))
+    """Return everything at given values of the unknowns."""
+    seen = sensors_at(places, values, slopes=bool(asked.offset_spread))
     states, weights = states_at(places, values, seen)
     left = residuals(states)
     fitted = likeliest(states, left, weights)
@@ -126,49 +105,43 @@ def fit(
     told: Callable[[Leverage], None] | None = None,
     fixed: bool = False,
 ) -> Fit:
-    """Find the likeliest unknowns.
+    """Return the most likely unknowns.
 
     Parameters
     ----------
-    places
-        Of the actuators.
-    asked
-        What is asked.
     states_at
         Gives states and weights.
     start
-        Where to begin; at nominal values unless given.
+        First values; nominal unless given.
     told
-        Is told the leverages after each step.
+        Called with the leverages after each step.
     fixed
-        Weights and spreads stay as they are. One factor serves as long as steps become short, and
-        leverages are not asked for.
+        Weights and spreads are fixed. A factor is reused while steps become shorter.
 
     Notes
     -----
-    Steps are taken in single precision: the score says where they end. The covariance is made in
-    double precision at the end, unless weights are fixed.
+    Steps are in single precision: the score determines where they end. The final covariance is in
+    double precision, unless weights are fixed.
 
     Raises
     ------
     RankDeficient
-        The data do not hold all that is asked.
+        The data do not determine all unknowns.
     NotConverged
     """
     values = at_nominal(places.n) if start is None else start
-    before: Fitted | None = None
+    n, before = places.n, None
     size = last = np.inf
     paces = dict[str, float]()
     for step in range(MAX_STEPS):
         point = point_at(places, values, asked, states_at)
-        known = asked.information(places.n)
+        known = asked.information(n)
         if not (fixed and step and size < 0.25 * last):  # a kept factor serves while steps shorten
-            covariance, leverage = _covariance(point, asked, before, single=True)
+            covariance, leverage = _covariance(point, asked, known, before, single=True)
         before = None if fixed else Fitted(covariance, point.weights)
         if leverage is not None and told is not None:
             told(leverage)
         move = -covariance @ (score(point) + known * asked.vector(values))
-        n = places.n
         error = np.sqrt(np.mean(np.diag(covariance)[:n]))
         last, size = size, float(np.sqrt(np.mean(move[:n] ** 2)))
         settled = step > 0 and size < SETTLED_STEP * error
@@ -178,8 +151,8 @@ def fit(
         if settled:
             if not fixed:
                 before, covariance = None, np.empty(0)  # their memory is needed
-                covariance, _ = _covariance(point, asked, single=False)
-            return _fit(values, asked, covariance, point, leverage, step + 1)
+                covariance, _ = _covariance(point, asked, known, single=False)
+            return _fit(values, asked, covariance, point, leverage)
         if asked.estimated:
             found = _with_spreads(asked, values, covariance)
             asked, paces = _extrapolated(asked, found, paces)
@@ -192,15 +165,12 @@ def fit(
 
 
 def _covariance(
-    point: Point, asked: Request, before: Fitted | None = None, *, single: bool
+    point: Point, asked: Request, known: Array, before: Fitted | None = None, *, single: bool
 ) -> tuple[Array, Leverage | None]:
-    """Return the covariance, and the leverages of a fit before.
-
-    The free scales are held at mean log 0.
-    """
+    """Return the covariance, with free scales at mean log 0, and leverages of the fit before."""
     held, leverage = information(point, before, single=single)
     n = len(point.states.readings)
-    held[np.diag_indices(len(held))] += asked.information(n)
+    held[np.diag_indices(len(held))] += known
     held[:n, :n] += np.trace(held[:n, :n]) / n**2
     if np.isinf(asked.gain_spread):
         held[n : 2 * n, n : 2 * n] += np.trace(held[n : 2 * n, n : 2 * n]) / n**2
@@ -209,7 +179,7 @@ def _covariance(
             inverse = inverse_of_positive(held, overwrite=True)
     except np.linalg.LinAlgError:
         if single:
-            return _covariance(point, asked, before, single=False)
+            return _covariance(point, asked, known, before, single=False)
         raise RankDeficient(
             "reciprocity does not hold all that is asked of it",
             remedy="give the sensor gains",
@@ -227,7 +197,6 @@ def _fit(
     covariance: Array,
     point: Point,
     leverage: Leverage | None,
-    steps: int,
 ) -> Fit:
     m = point.states.count
     taken = (np.nan,) * 3
@@ -242,30 +211,28 @@ def _fit(
         equations=(3 * m, 3 * m, m * (m - 1) // 2),
         parameters=tuple(map(float, taken)),  # type: ignore[arg-type]
         point=point,
-        steps=steps,
     )
 
 
 def _with_spreads(asked: Request, values: Values, covariance: Array) -> Request:
-    """Return what is asked with the spreads that the data give (MacKay).
+    """Return the request with the spreads of the data (MacKay).
 
-    sum v^2 over the number of unknowns less what the prior, not the data, says of them.
+    sum v^2 over the number of unknowns less what is determined by the prior, not by the data.
     """
     n = len(values.log_alpha)
+    # If data do not determine a spread, each step finds it smaller: below these it is none [-, m].
     for names, spread, least in (
-        ((Kind.GAIN,), "gain_spread", MIN_GAIN_SPREAD),
-        (OFFSETS, "offset_spread", MIN_OFFSET_SPREAD),
+        ((Kind.GAIN,), "gain_spread", 1e-6),
+        (OFFSETS, "offset_spread", 1e-8),
     ):
         size = getattr(asked, spread)
         if not size or np.isinf(size):
             continue
         total, held = 0.0, 0.0
         for kind in names:
-            k = asked.kinds.index(kind)
+            some = slice(k := asked.kinds.index(kind) * n, k + n)
             total += float(np.sum(values.of(kind) ** 2))
-            held += (
-                n - float(np.trace(covariance[k * n : (k + 1) * n, k * n : (k + 1) * n])) / size**2
-            )
+            held += n - float(np.trace(covariance[some, some])) / size**2
         found = max(float(np.sqrt(total / max(held, 1.0))), least)
         asked = replace(asked, **{spread: found})  # type: ignore[arg-type]
     return asked
@@ -274,10 +241,10 @@ def _with_spreads(asked: Request, values: Values, covariance: Array) -> Request:
 def _extrapolated(
     asked: Request, found: Request, paces: dict[str, float]
 ) -> tuple[Request, dict[str, float]]:
-    """Return spreads where a series of them leads (Aitken), and the steps of their logarithms.
+    """Return the limit of a series of spreads (Aitken), and the steps of their logarithms.
 
-    Where sensors scatter less than the data can tell, each spread found is only a little less than
-    the one before. After an extrapolated step, the next is taken as it is.
+    If sensors scatter less than the data can resolve, each spread is only slightly less than the
+    one before. After an extrapolated step, the next is taken without.
     """
     now = dict[str, float]()
     for name in ("gain_spread", "offset_spread"):
@@ -286,8 +253,8 @@ def _extrapolated(
             continue
         step = float(np.log(after / before))
         ratio = step / paces[name] if paces.get(name) else 0.0
-        if MIN_STEP_RATIO < ratio < 1.0:
-            further = np.clip(step * ratio / (1.0 - ratio), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
+        if 0.5 < ratio < 1.0:
+            further = np.clip(step * ratio / (1.0 - ratio), -0.7, 0.7)  # a factor of 2
             found = replace(found, **{name: after * float(np.exp(further))})
         else:
             now[name] = step

@@ -1,4 +1,4 @@
-"""Reciprocity on a stiffness matrix alone: relative alpha and sensors, held-out modes, the gate."""
+"""Reciprocity of a stiffness matrix alone: relative alpha, sensors, and held-out modes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from truenewton.estimation.reciprocity.information import States, Weights
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.noise import (
     BinnedNoise,
-    Noise,
+    MatrixNoise,
     beyond_noise,
     drawn_differences,
     noise_of,
@@ -47,35 +47,24 @@ from truenewton.estimation.reciprocity.sensor_model import (
 from truenewton.progress import tell
 from truenewton.statics.layout import Layout
 
-# Rms offset [m] of sensors; beyond it a plate is not what they see of the glass.
-AT_MAGNETS_OFFSET = 5e-5
+AT_MAGNETS_OFFSET = 5e-5  # rms offset [m] up to which the plate model is accurate enough
 
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """The elastic modes of a measured stiffness K_c = U S V', stiffest first.
+    """The elastic modes of a measured stiffness K_c = U S V', stiffest first."""
 
-    Attributes
-    ----------
-    places, arms
-        Of the actuators; (3, n) arms with lengths in units of the rms distance from the axis.
-    stiffness
-        (n, n) K_c, softest modes and all [N/m].
-    elastic
-        The modes that are used.
-    """
-
-    places: Places
-    arms: Array
-    stiffness: Array
-    elastic: ElasticModes
+    places: Places  # of the actuators
+    arms: Array  # (3, n), lengths in units of the rms distance from the axis
+    stiffness: Array  # (n, n) K_c, with its softest modes [N/m]
+    elastic: ElasticModes  # the modes that are used
 
     def every(self, some: slice) -> Modes:
         """Return some of the modes."""
         return replace(self, elastic=self.elastic.every(some))
 
     def imbalances(self, *fits: Fit) -> tuple[Imbalance, ...]:
-        """Return how modes balance with alpha of fits to all, to the even and to the odd."""
+        """Return the imbalance with alpha of fits to all, to even and to odd modes."""
         alphas = (each.values.alpha for each in fits)
         return imbalances_of(self.elastic.forces, self.arms, *alphas)
 
@@ -87,9 +76,9 @@ class Modes:
         start: Values | None = None,
         weights: Weights | None = None,
     ) -> Fit:
-        """Find alpha and the sensors by balance and reciprocity, or by balance alone.
+        """Fit alpha and sensors by balance and reciprocity, or by balance alone.
 
-        Unless weights are given, they are found as well.
+        Unless weights are given, they are estimated as well.
         """
         noise = BinnedNoise(self.elastic.stiffness, self.elastic.readings, balance)
         if weights is None:
@@ -107,16 +96,10 @@ def modes_of(
     motion: Array | None = None,
     keep: NDArray[np.bool_] | None = None,
 ) -> Modes:
-    """Return the elastic modes of a matrix, n - 3 at most; the softest are left out.
+    """Return the elastic modes of a matrix of commanded force per reading.
 
-    Parameters
-    ----------
-    layout, facts
-        Of a matrix of commanded force per reading.
-    motion
-        (n, n) or (6, n, n) what a model of the glass tells of the sensors (`places_of`).
-    keep
-        (n,) which actuators count; the others are free. All unless given.
+    ``motion`` is the (n, n) or (6, n, n) sensor model of the shell (`places_of`), ``keep`` marks
+    the (n,) actuators that count; the others are free.
     """
     places = places_of(layout, motion)
     if keep is not None and not keep.all():
@@ -127,31 +110,14 @@ def modes_of(
 
 @dataclass(frozen=True, eq=False)
 class MatrixEvidence:
-    """Fits of a stiffness, and what they say of each other.
+    """Fits of a stiffness, and how they agree."""
 
-    Attributes
-    ----------
-    joint
-        By all equations.
-    imbalances
-        Of all modes, and of those held out.
-    halves
-        (n,) log alpha of two fits, each to every second mode.
-    covariance
-        (n, n) of log alpha of the joint fit.
-    sensor_errors
-        (n,) of log g and of offsets [m], those that were asked for.
-    alone
-        (n,) log alpha by balance alone and by reciprocity alone; NaN where there is none.
-    evidence
-        For the gate.
-    """
-
-    joint: Fit
-    imbalances: tuple[Imbalance, ...]
-    halves: tuple[Array, Array]
-    covariance: Array
-    sensor_errors: dict[Kind, Array]
+    joint: Fit  # by all equations
+    imbalances: tuple[Imbalance, ...]  # of all modes, and of held-out ones
+    halves: tuple[Array, Array]  # (n,) log alpha of fits to every second mode
+    covariance: Array  # (n, n) of log alpha of the joint fit
+    sensor_errors: dict[Kind, Array]  # (n,) of log g and of offsets [m]
+    # (n,) log alpha by balance alone and by reciprocity alone; NaN if there is none
     alone: tuple[Array, Array]
     evidence: Evidence
 
@@ -205,26 +171,16 @@ def examined(modes: Modes) -> MatrixEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Halves:
-    """What fits to every second mode give.
+    """Results of fits to every second mode."""
 
-    Attributes
-    ----------
-    values
-        The unknowns by each.
-    imbalances
-        Of all modes, and of those held out.
-    excess, disagreement
-        Variance between the two over that of noise, and over that which they state.
-    """
-
-    values: tuple[Values, Values]
-    imbalances: tuple[Imbalance, ...]
-    excess: float
-    disagreement: float
+    values: tuple[Values, Values]  # of both fits
+    imbalances: tuple[Imbalance, ...]  # of all modes, and of held-out ones
+    excess: float  # variance between the two over that of noise
+    disagreement: float  # the same over the stated variance
 
 
-def _halves(modes: Modes, joint: Fit, noise: Noise, *, doubtful: bool) -> Halves:
-    """Fit every second mode, with noise and scatter of the sensors as all modes give them."""
+def _halves(modes: Modes, joint: Fit, noise: MatrixNoise, *, doubtful: bool) -> Halves:
+    """Fit every second mode, with noise and scatter of the sensors from all modes."""
     again, weights = joint.asked_again, joint.point.weights
     one, other = (
         modes.every(some).fit(again, start=joint.values, weights=weights.every(some)).of_alpha
@@ -240,12 +196,12 @@ def _halves(modes: Modes, joint: Fit, noise: Noise, *, doubtful: bool) -> Halves
 
 
 def _against_balance(
-    modes: Modes, joint: Fit, noise: Noise, halves: Halves, *, doubtful: bool
+    modes: Modes, joint: Fit, noise: MatrixNoise, halves: Halves, *, doubtful: bool
 ) -> tuple[Evidence, tuple[Array, Array], float]:
     """Fit balance alone and reciprocity alone.
 
-    Return what they say of each other, (n,) log alpha by each, and the variance between them over
-    that of noise.
+    Returns how they agree, (n,) log alpha by each, and the variance between them over that of
+    noise.
     """
     alone = [  # alpha only: the balance knows nothing of sensors
         each.fit(Request(), balance=True, start=joint.values)
@@ -266,13 +222,13 @@ def _against_balance(
 
 
 def _of_one(halves: tuple[Values, Values], kind: Kind) -> float:
-    """Return the rms error of one half of the modes, by how far two halves are apart."""
+    """Return the rms error of one half of the modes, from the difference of both."""
     one, other = (half.of(kind) for half in halves)
     return float(np.sqrt(0.5 * np.mean((one - other) ** 2)))
 
 
 def _unseen(imbalances: tuple[Imbalance, ...]) -> float:
-    """Return the imbalance of the modes that fits have not seen, over both halves."""
+    """Return the imbalance of held-out modes, over both halves."""
     return float(np.linalg.norm([line.after for line in imbalances[1:]]))
 
 
@@ -283,22 +239,22 @@ def fit_matrix(
     *,
     where_it_holds: bool = False,
 ) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Finding, ...]]:
-    """Find relative alpha and the sensors; return what speaks against them, too.
+    """Return relative alpha and the sensors, the imbalances, and what contradicts the result.
 
-    The stated error is that of noise (`response`), enlarged where halves of the modes, or balance
-    and reciprocity, differ by more: what a real matrix leaves is not all noise. Where sensors are
-    off their magnets and the glass is not known it is at least that of one half.
+    The stated error is that of noise (`noise`), enlarged if halves of the modes, or balance and
+    reciprocity, differ by more: the residuals of a real matrix are not all noise. If sensors are
+    off their magnets and the shell is not known, it is at least that of one half.
 
     Parameters
     ----------
     screened
         A matrix of commanded force per reading.
     base
-        The estimate of `ml`, which says what is odd about the matrix itself.
+        The estimate of `ml`, with the findings about the matrix itself.
     motion
         (n, n) as for `modes_of`.
     where_it_holds
-        Leave it at ``base`` where too many actuators are odd: nothing fitted would be believed.
+        Return ``base`` if too many actuators are unlike the others.
 
     Raises
     ------

@@ -1,21 +1,26 @@
-"""A stiffness matrix alone: states from its singular vectors, their noise from what is left.
+"""Noise of a stiffness matrix, from its residuals, and the errors of the fits that it causes.
 
-The modes, stiffest first, stand in bins of equal number. Residuals of a pair of bins share one
-variance: their mean square, over 1 less the mean leverage, since a fit takes part of them up.
+If modes were driven, noise is one of modes (`BinnedNoise`): the modes, stiffest first, are in bins
+of equal number. Residuals of a pair of bins have one variance: their mean square over 1 less the
+mean leverage.
 
-Noise of the elements of a stiffness, from what reciprocity leaves of each pair.
-
-Where elements were measured one by one, the noise of each is equal in all, in proportion to it, or
-some of both, and more at some sensors than at others,
+If elements were measured one by one, the noise of each is equal in all, proportional to it, or
+both, and differs between sensors,
 
     V_ij = c_j (a^2 + p^2 k_ij^2)
 
-Forces true at the magnets, K = D_alpha K_c (H D_g)^-1, differ from their transpose by noise whose
-variance is linear in the V of a row, and by what errors of the sensors' offsets do to them. a^2,
-p^2, c and the size of the latter are the likeliest for all pairs, as if these were independent; one
-factor of each actuator, alpha times gain, is left free. Where modes were driven, or the stiffness
-regressed, noise is one of modes (`binned_noise`) instead: of white noise both are likely alike, of
-any other that one in whose terms it has no correlations.
+The true forces at the magnets, K = D_alpha K_c (H D_g)^-1, differ from their transpose by noise
+whose variance is linear in the V of a row, and by the effect of errors of the sensors' offsets.
+a^2, p^2, c and the size of the latter are the most likely for all pairs, as if these were
+independent; one factor of each actuator, alpha times gain, is free. The more likely of the two
+kinds of noise is used. White noise makes both equally likely; any other noise prefers the one in
+which it is uncorrelated.
+
+A fit weighs residuals of modes as if they were independent. Noise of elements is not: proportional
+noise is near the diagonal, and all modes share it. To first order the error of a fit is -C s(E),
+with its covariance C and the score s of noise E, whatever the weights. So noise of elements is
+drawn, the same for all fits, and the errors are counted. For noise of modes the covariance of the
+fit is that of its errors.
 """
 
 from __future__ import annotations
@@ -36,6 +41,7 @@ from truenewton.estimation.reciprocity.information import (
     Weights,
     equal_bins,
     in_single,
+    residuals,
     score,
     to_single,
 )
@@ -47,61 +53,41 @@ from truenewton.estimation.reciprocity.sensor_model import (
     Request,
     SensorModel,
     Values,
-    sight,
+    sensors_at,
 )
 from truenewton.linalg import factor_of, inverse_of_positive
 
-MAX_BINS = 12
-MIN_MODES_IN_BIN = 8  # modes in a bin
-# Modes in a bin, from which on each of three equations tells its own noise.
-ENOUGH_MODES_IN_BIN = 20
-# Of a block of residuals, by a fit: beyond, too little is left to tell noise.
-MAX_BLOCK_LEVERAGE = 0.95
-# Of the variance of the quietest pair with the same mode, what is rigid has at least so much: gains
-# and offsets of a small mirror can fit rigid motions without any rest.
+MIN_MODES_IN_BIN = 8
+# Variance of rigid motions relative to the quietest pair with the same mode: gains and offsets of a
+# small mirror can fit rigid motions without residuals.
 MIN_RIGID_VARIANCE = 0.01
 
 
 @dataclass(eq=False)
 class BinnedNoise:
-    """States of a stiffness, and their noise as the last residuals have it.
+    """States of a stiffness, and their noise according to the last residuals."""
 
-    Attributes
-    ----------
-    stiffness
-        (n, n) K_c, of the modes that are used alone [N/m].
-    readings
-        (n, m) V, as read; stiffest first.
-    balance
-        Whether statics alone counts.
-    leverage
-        Of the last fit; None at first.
-    times, before
-        How often the noise was taken; the variances of the last time.
-    latest
-        The last unknowns and states.
-    """
-
-    stiffness: Array
-    readings: Array
-    balance: bool = False
-    leverage: Leverage | None = field(default=None)
-    times: int = field(default=0)
+    stiffness: Array  # (n, n) K_c, of the modes that are used alone [N/m]
+    readings: Array  # (n, m) V, stiffest first
+    balance: bool = False  # whether only statics count
+    leverage: Leverage | None = field(default=None)  # of the last fit
+    times: int = field(default=0)  # number of estimates
+    # variances of the last estimate
     before: tuple[Array, Array, Array] | None = field(default=None)
-    latest: tuple[Values, States] | None = field(default=None)
+    latest: tuple[Values, States] | None = field(default=None)  # last unknowns and states
 
     def told(self, leverage: Leverage) -> None:
-        """Take the leverages of a fit over."""
+        """Store the leverages of a fit."""
         self.leverage = leverage
 
     def __call__(self, places: Places, values: Values, seen: SensorModel) -> tuple[States, Weights]:
-        """Return states and weights at some values."""
+        """Return states and weights at given values."""
         states = self.states(places, values, seen)
         weights = self.weights(states)
         return states, weights.of_balance if self.balance else weights
 
     def states(self, places: Places, values: Values, seen: SensorModel) -> States:
-        """Return the states, W'W as it comes and Q orthonormal."""
+        """Return the states, with orthonormal Q and any W'W."""
         true = values.alpha[:, None] * self.stiffness
         if self.latest is not None and values.same_sensors(self.latest[0]):
             states = self.latest[1]  # alpha alone changes, and with it the forces
@@ -131,12 +117,9 @@ class BinnedNoise:
         return states
 
     def weights(self, states: States) -> Weights:
-        """Return weights from what the states leave now, and from the leverages of the last fit."""
-        work = states.displacements.T @ states.forces
-        left = Residuals(
-            states.rigid.T @ states.forces, states.displacements.T @ states.rigid_forces, work
-        )
-        bins = equal_bins(states.count, min(MAX_BINS, states.count // MIN_MODES_IN_BIN))
+        """Return weights from the residuals and from the leverages of the last fit."""
+        left = residuals(states)
+        bins = equal_bins(states.count, min(12, states.count // MIN_MODES_IN_BIN))
         sizes = np.array([some.stop - some.start for some in bins])
         starts = [some.start for some in bins]
         pairs = np.outer(sizes, sizes) - np.diag(sizes)
@@ -151,8 +134,8 @@ class BinnedNoise:
         variance = square / _left(pairs, of_pair)
         statics = np.add.reduceat(left.statics**2, starts, axis=1) / _left(sizes, taken.statics)
         rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(sizes[:, None], taken.rigid)
-        variance = np.maximum(variance, (1e-12) ** 2 * np.mean(np.diagonal(work) ** 2))
-        if sizes.min() < ENOUGH_MODES_IN_BIN:
+        variance = np.maximum(variance, (1e-12) ** 2 * np.mean(np.diagonal(left.work) ** 2))
+        if sizes.min() < 20:  # too few for a noise of each of the three equations
             statics = np.repeat(statics.mean(axis=0, keepdims=True), 3, axis=0)
             rigid = np.repeat(rigid.mean(axis=1, keepdims=True), 3, axis=1)
         least = MIN_RIGID_VARIANCE * variance.min(axis=0)
@@ -173,8 +156,8 @@ class BinnedNoise:
 def shares(variance: Array, sizes: NDArray[np.int64]) -> Array:
     """Return (m, m) variances of T over those of A, by (b, b) variances of A between bins.
 
-    The variance of T_lm is r_l c_m: so those of T_lm and T_ml have the sum that A has, and the
-    product that the bins of l and m have by themselves. The force of the noisier state has more.
+    The variance of T_lm is r_l c_m: so those of T_lm and T_ml have the sum of A, and the product of
+    the bins of l and m by themselves. The force of the noisier state has more.
     """
     own = np.diag(variance)
     half = 0.5 * variance
@@ -189,38 +172,23 @@ def _dual(basis: Array) -> Array:
 
 
 def _left(count: Array, taken: Array) -> Array:
-    """Return how many residuals a fit leaves of so many."""
-    return np.asarray(count * (1.0 - np.minimum(taken / count, MAX_BLOCK_LEVERAGE)))
+    """Return how many of the residuals a fit leaves; 1 in 20 at least."""
+    return np.asarray(count * (1.0 - np.minimum(taken / count, 0.95)))
 
 
-# Relative change of what matters to the variance; of c.
-SETTLED_VARIANCE, SETTLED_SENSOR = 2e-3, 0.05
-MIN_ELEMENT_VARIANCE = 1e-24  # variance in terms of the mean square of an element
-PRIOR_RESIDUALS = 4.0  # residuals' worth of belief that a sensor is as noisy as the others
-MAX_PAIR_LEVERAGE = 0.9  # of a pair, by factors: beyond, too little is left to tell noise
-NEGLIGIBLE_VARIANCE_SHARE = 1e-4  # share of the variance that does not matter
-MIN_PART_SHARE = 1e-6  # below which no part of the variance falls, so that logarithms stay bounded
+PRIOR_RESIDUALS = 4.0  # weight of the other sensors' noise in that of one
 
 
 def element_variance(stiffness: Array, fit: Fit, places: Places) -> tuple[Array, float]:
-    """Return (n, n) variances of the elements of a measured stiffness [(N/m)^2], and their cost.
+    """Return (n, n) variances of the elements of an (n, n) K_c [(N/m)^2], and their cost.
 
-    Of sensors where the fit has them and of sensors at their magnets, whichever is likelier. The
-    cost is twice minus the mean log likelihood of a pair, to compare with that of modes.
-
-    Parameters
-    ----------
-    stiffness
-        (n, n) K_c, force per reading.
-    fit
-        Of alpha and the sensors.
-    places
-        Of the actuators.
+    For sensors at the fitted offsets or at their magnets, whichever is more likely. The cost is
+    twice minus the mean log likelihood of a pair, to compare with that of modes.
     """
     at_magnets = replace(fit.values, offset=np.zeros_like(fit.values.offset))
-    ways = [sight(places, at_magnets, slopes=False)]
+    ways = [sensors_at(places, at_magnets, slopes=False)]
     if fit.asked.offset_spread:
-        ways.append(sight(places, fit.values, slopes=True))
+        ways.append(sensors_at(places, fit.values, slopes=True))
     found, start = list[tuple[Array, float]](), None
     for seen in ways:
         variance, cost, start = _likeliest(stiffness, fit, seen, start)
@@ -231,12 +199,11 @@ def element_variance(stiffness: Array, fit: Fit, places: Places) -> tuple[Array,
 def _likeliest(
     stiffness: Array, fit: Fit, seen: SensorModel, start: Array | None
 ) -> tuple[Array, float, Array]:
-    """Return variances where the sensors see so, their cost, and the logarithms behind them.
+    """Return variances for given sensors, their cost, and the logarithms of their parameters.
 
-    With those of another way to ``start`` from, fewer steps are needed. Steps are those of a
-    minorant of the likelihood, in which no variance becomes negative (Zhou et al., J. Comput.
-    Graph. Stat. 28, 350, 2019). Two of them say how far a third may go (SQUAREM: Varadhan and
-    Roland, Scand. J. Stat. 35, 335, 2008).
+    Steps are those of a minorant of the likelihood, in which no variance becomes negative (Zhou et
+    al., J. Comput. Graph. Stat. 28, 350, 2019). Two of them give the length of a third (SQUAREM:
+    Varadhan and Roland, Scand. J. Stat. 35, 335, 2008).
     """
     n, alpha = len(stiffness), fit.values.alpha
     back = np.linalg.inv(seen.motion * fit.values.gain)
@@ -245,6 +212,7 @@ def _likeliest(
     left = 1.0 - max(0.0, fit.parameters[2] - n) / fit.equations[2]  # by what else is fitted
     mixed = np.asarray(back**2)
     own, mean = alpha[:, None] ** 2, float(np.mean(stiffness**2))
+    least, share = 1e-24 * mean, 1e-6  # so that logarithms stay bounded
     alone = np.count_nonzero(mixed) == n  # each sensor sees its own magnet alone
     laws = np.stack([np.broadcast_to(own, stiffness.shape), own * stiffness**2 / mean])
     moved, pairs = _by_offsets(true @ seen.motion, fit, seen), ~np.eye(n, dtype=bool)
@@ -267,19 +235,17 @@ def _likeliest(
         wanted, had = by_mixing(wanted, mixed.T), by_mixing(had, mixed.T)
         told, expected = (np.sum(laws * (sensor * part), axis=(1, 2)) for part in (wanted, had))
         size = size * np.sqrt(told / expected)
-        size = np.maximum(size, max(MIN_ELEMENT_VARIANCE * mean, MIN_PART_SHARE * size.max()))
+        size = np.maximum(size, max(least, share * size.max()))
         counted = sensor * np.sum(each * had, axis=0) + PRIOR_RESIDUALS
         sensor = np.sqrt(
             (sensor**2 * np.sum(each * wanted, axis=0) + PRIOR_RESIDUALS) * sensor / counted
         )
-        offsets = max(offsets * np.sqrt(by_offsets), MIN_PART_SHARE)
+        offsets = max(offsets * np.sqrt(by_offsets), share)
         return np.log(np.concatenate([size, [offsets], sensor])), cost
 
     logs = start
     if logs is None:
-        first = max(
-            0.25 * float(np.mean(apart**2)) / float(np.mean(own)), MIN_ELEMENT_VARIANCE * mean
-        )
+        first = max(0.25 * float(np.mean(apart**2)) / float(np.mean(own)), least)
         logs = np.concatenate([np.log([first, first, 1.0]), np.zeros(n)])
     for _ in range(40):  # of three steps each
         one, _ = stepped(logs)
@@ -291,8 +257,8 @@ def _likeliest(
         change = np.abs(logs - jumped)
         if not reached <= cost:
             logs, reached, change = two, cost, np.abs(two - one)
-        matters = logs[:2] > np.log(NEGLIGIBLE_VARIANCE_SHARE) + logs[:2].max()
-        if change[:2][matters].max() < SETTLED_VARIANCE and change[3:].max() < SETTLED_SENSOR:
+        matters = logs[:2] > np.log(1e-4) + logs[:2].max()  # the smaller part may be negligible
+        if change[:2][matters].max() < 2e-3 and change[3:].max() < 0.05:
             break
     size = np.exp(logs[:2])
     variance = (size[0] + size[1] * stiffness**2 / mean) * np.exp(logs[3:])
@@ -300,7 +266,7 @@ def _likeliest(
 
 
 def cost_of_modes(fit: Fit) -> float:
-    """Return what a pair costs if noise is one of modes, each of unit length."""
+    """Return the cost of a pair if noise is one of modes, each of unit length."""
     states, weights = fit.point.states, fit.point.weights
     pairs = ~np.eye(states.count, dtype=bool)
     length = np.log(np.sum(states.displacements**2, axis=0))
@@ -320,9 +286,9 @@ def _by_offsets(forces: Array, fit: Fit, seen: SensorModel) -> Array:
 
 
 def _without_factors(apart: Array, whole: Array, weight: Array) -> Array:
-    """Return (n, n) squared differences of pairs without what one factor of each explains.
+    """Return (n, n) squared differences of pairs that no factor of each actuator explains.
 
-    Each over 1 less its leverage: a few strong pairs make most of a factor.
+    Each is divided by 1 less its leverage: a few strong pairs determine most of a factor.
     """
     links = weight * whole**2
     laplacian = np.diag(links.sum(axis=1)) - links
@@ -330,36 +296,23 @@ def _without_factors(apart: Array, whole: Array, weight: Array) -> Array:
     inverse = inverse_of_positive(laplacian)
     factor = inverse @ np.sum(weight * whole * apart, axis=1)
     own = np.diag(inverse)
-    leverage = np.minimum(links * (own[:, None] + own - 2.0 * inverse), MAX_PAIR_LEVERAGE)
+    leverage = np.minimum(links * (own[:, None] + own - 2.0 * inverse), 0.9)
     return np.asarray((apart - whole * (factor[:, None] - factor)) ** 2 / (1.0 - leverage))
 
 
-DRAW_SEED = 1
-MAX_DRAWS = 300
-# Of draws: what differs by more than all but these may be no noise, and is none.
-RARE_DRAW_FRACTION = 0.01
-# Times beyond these, as the variance of the elements is not known for sure.
-UNCERTAIN_VARIANCE_FACTOR = 1.5
-SCALE_VARIANCE = 1e-9  # of the largest variance: below it only the scale is, which is no error
+DRAW_SEED, MAX_DRAWS = 1, 300  # of random noise
+RARE_DRAW_FRACTION = 0.01  # of draws: a larger difference is not noise
+UNCERTAIN_VARIANCE_FACTOR = 1.5  # margin, as the variance of the elements is uncertain
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
-    """Noise of a stiffness.
+class MatrixNoise:
+    """Noise of a stiffness."""
 
-    Attributes
-    ----------
-    variance
-        (n, n) of its elements [(N/m)^2]; None where it is one of modes.
-    scatter
-        Standard deviations of log g and of the offsets [m], as far as noise does not feign them.
-    scores
-        (draws, u) of the fit that the noise is from, for noise of its elements.
-    """
-
-    variance: Array | None
+    variance: Array | None  # (n, n) of its elements [(N/m)^2]; None for noise of modes
+    # standard deviations of log g and of the offsets [m] beyond noise
     scatter: tuple[float, float] = (0.0, 0.0)
-    scores: Array | None = None
+    scores: Array | None = None  # (draws, u) of the fit that gave the noise of its elements
 
     def of(self, asked: Request, n: int) -> Array:
         """Return (u,) standard deviations of the unknowns that are drawn."""
@@ -368,14 +321,11 @@ class Noise:
         return np.repeat([spreads[kind] for kind in asked.kinds], n)
 
 
-def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
-    """Return the noise of an (n, n) K_c, of elements or modes, whichever is likelier.
-
-    How sensors scatter beyond that of elements the fit tells.
-    """
+def noise_of(stiffness: Array, fit: Fit, places: Places) -> MatrixNoise:
+    """Return the noise of an (n, n) K_c, of elements or modes, whichever is more likely."""
     variance, cost = element_variance(stiffness, fit, places)
     if cost > cost_of_modes(fit):
-        return Noise(None)
+        return MatrixNoise(None)
     n = len(variance)
     drawn = scores(fit, variance)
     by_noise = -drawn @ fit.covariance
@@ -392,13 +342,13 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
         pulled = unit * some - (unit * some * known) @ fit.covariance
         feigned, passed = (np.sum(each[:, some] ** 2) / len(each) for each in (by_noise, pulled))
         scatter.append(float(np.sqrt(max(found - feigned, 0.0) / passed)))
-    return Noise(variance, (scatter[0], scatter[1]), drawn)
+    return MatrixNoise(variance, (scatter[0], scatter[1]), drawn)
 
 
 def scores(fit: Fit, variance: Array) -> Array:
     """Return (draws, u) scores of a fit for noise whose elements have (n, n) variance.
 
-    In single precision: they are random.
+    In single precision, as they are random.
     """
     n, point = len(variance), in_single(fit.point)
     random, states, alpha = (
@@ -422,11 +372,8 @@ def scores(fit: Fit, variance: Array) -> Array:
     return np.array(found)
 
 
-def errors(fit: Fit, noise: Noise, by_noise: Array) -> Array:
-    """Return (draws, u) errors of all unknowns by the `scores` of noise and the sensors' scatter.
-
-    Noise and sensors are the same for all fits.
-    """
+def errors(fit: Fit, noise: MatrixNoise, by_noise: Array) -> Array:
+    """Return (draws, u) errors of all unknowns by `scores` of noise and scatter of sensors."""
     n, total = len(fit.values.log_alpha), by_noise.copy()
     unit = np.random.default_rng([DRAW_SEED, 1]).standard_normal((len(total), 3 * n))
     sensors = np.concatenate([np.zeros((len(total), n)), unit], axis=1)[:, : total.shape[1]]
@@ -434,11 +381,8 @@ def errors(fit: Fit, noise: Noise, by_noise: Array) -> Array:
     return np.asarray(-total @ fit.covariance)
 
 
-def stated_errors(fit: Fit, noise: Noise) -> tuple[Array, dict[Kind, Array]]:
-    """Return the (n, n) covariance of log alpha, and (n,) errors of what is asked of the sensors.
-
-    These are log g and offsets [m].
-    """
+def stated_errors(fit: Fit, noise: MatrixNoise) -> tuple[Array, dict[Kind, Array]]:
+    """Return the (n, n) covariance of log alpha, and (n,) errors of log g and offsets [m]."""
     alpha = fit.covariance_of(Kind.ALPHA)
     if noise.variance is None:
         return alpha, errors_of_sensors(fit)
@@ -452,7 +396,7 @@ def stated_errors(fit: Fit, noise: Noise) -> tuple[Array, dict[Kind, Array]]:
 def covariance_of_draws(stated: Array, drawn: Array) -> Array:
     """Return the (n, n) covariance of (draws, n) errors, of which there may be few.
 
-    As if that of `_by_size` had been seen in n draws before (the mean of an inverse Wishart
+    As if that of `_by_size` had been observed in n draws before (the mean of an inverse Wishart
     distribution).
     """
     draws, n = drawn.shape
@@ -463,22 +407,23 @@ def covariance_of_draws(stated: Array, drawn: Array) -> Array:
 def _by_size(stated: Array, drawn: Array) -> tuple[Array, Array]:
     """Return variances of the patterns of an (n, n) covariance, descending, and the patterns.
 
-    Each is as much larger or smaller than stated as those of about its size are in the draws, in
+    The ratio to the stated variance is the mean over patterns of similar variance in the draws, in
     bands of as many patterns as there are before.
     """
     values, vectors = (each[..., ::-1] for each in np.linalg.eigh(stated))
-    base = np.maximum(values, SCALE_VARIANCE * values[0])
+    least = 1e-9 * values[0]  # only the variance of the scale is smaller, which is not an error
+    base = np.maximum(values, least)
     along, start = np.mean((drawn @ vectors) ** 2, axis=0) / base, 0
     held = np.zeros(len(values))
     while start < len(values):
         some = slice(start, max(1, 2 * start))
         held[some] = base[some] * np.mean(along[some])
         start = some.stop
-    held[values < SCALE_VARIANCE * values[0]] = 0.0
+    held[values < least] = 0.0
     return held, vectors
 
 
-def drawn_differences(fits: Sequence[Fit], noise: Noise) -> Array:
+def drawn_differences(fits: Sequence[Fit], noise: MatrixNoise) -> Array:
     """Return (draws, n) differences that noise makes between the log alpha of two fits."""
     if noise.variance is None:
         one, other = (fit.covariance_of(Kind.ALPHA) for fit in fits)
@@ -493,9 +438,9 @@ def drawn_differences(fits: Sequence[Fit], noise: Noise) -> Array:
 def beyond_noise(fits: Sequence[Fit], drawn: Array, *, alike: bool, doubtful: bool) -> float:
     """Return the variance between the log alpha of two fits over that of noise, 1 at least.
 
-    Of patterns in terms of their errors; of fits that are alike, which err in more than a few
-    patterns, also of alpha as it is, whichever is more. Unless the model is doubtful, what noise
-    may do, (draws, n) by `drawn_differences`, is noise.
+    Patterns are compared relative to their errors; if fits are ``alike``, and err in many patterns,
+    alpha itself as well, whichever is larger. Unless the model is doubtful, differences within the
+    (draws, n) of `drawn_differences` are noise.
     """
     one, other = fits
     difference = one.values.log_alpha - other.values.log_alpha

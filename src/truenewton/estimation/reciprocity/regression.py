@@ -1,10 +1,13 @@
 """The stiffness that a campaign measured, its noise, and the states of the mirror in it.
 
-A stiffness regressed from shapes, its noise known: states whose residuals are all independent.
-
 K_c = S_cz S_zz^-1 has noise of covariance N_c for rows, S_zz^-1 for columns. States V with
-V'S_zz^-1 V = 1 and W'N W diagonal, N = D_alpha N_c D_alpha, both apart from rigid motions in these
-metrics, have independent residuals; so the sums below are the likelihood itself.
+V'S_zz^-1 V = 1 and diagonal W'N W, N = D_alpha N_c D_alpha, both apart from rigid motions in these
+metrics, have independent residuals; so the sums are the likelihood itself.
+
+Actuators and sensors that do not obey reciprocity are left free before any fit. A stiffness in
+which set B exerts no force does not depend on the alpha and the sensors of B, whatever these read:
+
+    K <- K_GG - K_GB K_BB^-1 K_BG
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
+from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.matrix.couplings import pair_ratios
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.readings.moments import Moments
@@ -25,38 +29,23 @@ from truenewton.estimation.reciprocity.information import States, Weights, equal
 from truenewton.estimation.reciprocity.sensor_model import Places, SensorModel, Values
 from truenewton.linalg import singular_values_and_vectors
 
-MAX_SINGLE_STATES = 100  # up to so many states have a bin each
+MAX_SINGLE_STATES = 100  # up to this number, each state has its own bin
 
 
 @dataclass(frozen=True, eq=False)
 class Regressed:
-    """A stiffness by regression of forces on readings.
+    """A stiffness by regression of forces on readings."""
 
-    Attributes
-    ----------
-    stiffness
-        (n, n) K_c, commanded force per reading [N/m].
-    square
-        (n, n) S_zz, sum of z z' [m^2].
-    noise
-        (n, n) N_c, covariance of the force that a row of weight 1 leaves [N^2].
-    noise_freedom
-        Degrees of freedom from which the noise is known.
-    bias_gradient
-        Change of the bias magnets' force per displacement [N/m].
-    coil_force
-        (n,) COILGRAD times the mean force [N/m]: what K_c lacks at gain g is this times g - 1.
-    """
-
-    stiffness: Array
-    square: Array
-    noise: Array
-    noise_freedom: float = np.inf
-    bias_gradient: float = 0.0
+    stiffness: Array  # (n, n) K_c, commanded force per reading [N/m]
+    square: Array  # (n, n) S_zz, sum of z z' [m^2]
+    noise: Array  # (n, n) N_c, residual covariance of the force of a row of weight 1 [N^2]
+    noise_freedom: float = np.inf  # degrees of freedom of the noise
+    bias_gradient: float = 0.0  # of the bias magnets' force [N/m]
+    # (n,) COILGRAD times mean force [N/m]; K_c lacks it times g - 1
     coil_force: Array | float = 0.0
 
     def at(self, values: Values) -> Array:
-        """Return (n, n) D_alpha K_c, what magnets and coils change with the gap taken out [N/m]."""
+        """Return (n, n) D_alpha K_c without the gradients of magnets and coils [N/m]."""
         gain = values.gain
         true = values.alpha[:, None] * self.stiffness
         change = values.alpha * self.coil_force * (gain - 1.0) + self.bias_gradient * gain
@@ -111,24 +100,23 @@ class Regressed:
         return states, weights
 
 
-# Shapes beyond the actuators, in terms of these, from which their misfit is noise.
+# Shapes in excess of actuators, relative to these, if noise is to follow from their misfit.
 MIN_SPARE_SHAPES = 0.25
-# Amplitude of a motion in terms of the largest: below it shapes do not hold it.
-MIN_AMPLITUDE = 1e-5
+MIN_AMPLITUDE = 1e-5  # of a motion relative to the largest; below, shapes do not contain it
 
 
 def regressed(
     moments: Moments, variance: Array, *, bias_gradient: float = 0.0, coil_gradient: float = 0.0
 ) -> Regressed:
-    """Regress force on displacement, both about their means under each load.
+    """Regress force on displacement, both relative to their means under each load.
 
-    The noise of the force that a row leaves has two parts, of forces and of positions,
+    The noise of the force of a row has two parts, of forces and of positions,
 
         N_c = a diag(s_i^2) + b K_c K_c'
 
-    of which what the regression leaves tells the sizes, along the singular vectors of K_c. What it
-    leaves of sums of forces and torques beyond that is added: a mirror that trembles as a whole
-    does so against the air film, whose force all actuators bear together.
+    whose sizes follow from the residuals of the regression along the singular vectors of K_c. What
+    sums of forces and torques have beyond that is added: a mirror that vibrates as a whole does so
+    against the air film, whose force all actuators share.
 
     Parameters
     ----------
@@ -142,7 +130,7 @@ def regressed(
     Raises
     ------
     RankDeficient
-        No POSITION, too few shapes, or motions that none of them holds.
+        No POSITION, too few shapes, or motions that no shape contains.
     """
     if moments.displacement is None:
         raise RankDeficient(
@@ -169,7 +157,7 @@ def regressed(
 
 
 def refuse_unheld(square: Array) -> None:
-    """Raise RankDeficient where (n, n) S_zz lacks motions of the mirror."""
+    """Raise RankDeficient if (n, n) S_zz lacks motions of the mirror."""
     n = len(square)
     amplitude = np.sqrt(np.maximum(np.linalg.eigvalsh(square), 0.0))
     missing = int(np.count_nonzero(amplitude <= MIN_AMPLITUDE * amplitude[-1]))
@@ -183,7 +171,7 @@ def refuse_unheld(square: Array) -> None:
 
 
 def _noise(left: Array, stiffness: Array, variance: Array, spare: int) -> Array:
-    """Return (n, n) N_c from (g, n) what the regression leaves."""
+    """Return (n, n) N_c from the (g, n) residuals of the regression."""
     vectors, values, _ = singular_values_and_vectors(stiffness)
     found = np.sum((left @ vectors) ** 2, axis=0) / spare
     terms = np.stack([variance @ vectors**2, values**2], axis=1)
@@ -202,22 +190,21 @@ def _noise(left: Array, stiffness: Array, variance: Array, spare: int) -> Array:
     return np.asarray(noise + (axes * np.maximum(beyond, 0.0)) @ axes.T)
 
 
-MAX_ROW_ASYMMETRY = 4.0  # times the median asymmetry of a row: beyond it an actuator is left free
-MIN_ASYMMETRY_RATIO = 2.0  # times less asymmetry that a typical row has with one of them free
-MAX_FREED_FRACTION = 0.03  # of the actuators, and two at least, may be left free
+MAX_ROW_ASYMMETRY = 4.0  # relative to the median row: beyond, an actuator is left free
+MIN_ASYMMETRY_RATIO = 2.0  # of the median row, with and without one of them
 
 
 def odd_actuators(stiffness: Array, start: Array | None = None) -> NDArray[np.int64]:
-    """Return which actuators of an (n, n) K_c are apart from the others; one more than may be left.
+    """Return which actuators of an (n, n) K_c are unlike the others; one more than may be free.
 
-    Rows and columns are made alike, robustly, as far as one factor for each actuator can. While the
-    asymmetry of a row stands out, or all have less without one of the worst, that one goes whose
-    absence leaves least. ``start`` is the (n,) log alpha from symmetry, if known.
+    Rows and columns are matched robustly with one factor for each actuator. An actuator is left out
+    if the asymmetry of its row stands out, or if all rows have less without it; among the worst,
+    the one whose absence leaves least. ``start`` is the (n,) log alpha from symmetry, if known.
     """
     at, rest = np.arange(len(stiffness)), stiffness
     ratios = pair_ratios(stiffness)[0] if start is None else start
     found, size = list[int](), _asymmetry(stiffness, ratios)
-    while len(found) <= max(2, int(MAX_FREED_FRACTION * len(stiffness))):
+    while len(found) <= _max_free(len(stiffness)):
         worst = np.argsort(-size)
         # Neighbours of a bad actuator stand out as well; one that yields can be free.
         tried = worst[rest.diagonal()[worst] != 0.0][:8]
@@ -241,17 +228,22 @@ def odd_actuators(stiffness: Array, start: Array | None = None) -> NDArray[np.in
 
 
 def kept(stiffness: Array, start: Array | None = None) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
-    """Return (n,) which actuators of K_c to keep; and, where too many are odd, all, with these."""
+    """Return which (n,) actuators of K_c to keep; all, and the odd ones, if too many are odd."""
     odd = odd_actuators(stiffness, start)
     keep = np.ones(len(stiffness), dtype=bool)
-    if len(odd) > max(2, int(MAX_FREED_FRACTION * len(stiffness))):
+    if len(odd) > _max_free(len(stiffness)):
         return keep, tuple(odd.tolist())
     keep[odd] = False
     return keep, ()
 
 
+def _max_free(n: int) -> int:
+    """Return how many of n actuators may be left free."""
+    return max(2, int(LIMITS.bad_fraction * n))
+
+
 def _asymmetry(stiffness: Array, ratios: Array) -> Array:
-    """Return (n,) rms asymmetry of each row, made alike, in terms of a typical element."""
+    """Return (n,) rms asymmetry of each matched row, relative to a typical element."""
     alike = np.exp(ratios)[:, None] * stiffness
     own = np.median(np.abs(alike), axis=1)  # that of a bad one may be anything
     typical = np.median(own) or np.inf  # 0 where most do not feel each other
@@ -266,7 +258,7 @@ def _without(stiffness: Array, k: int) -> Array:
 
 
 def condensed_regression(regressed: Regressed, keep: NDArray[np.bool_]) -> Regressed:
-    """Return a regressed stiffness in which some of (n,) actuators are left free."""
+    """Return a regressed stiffness in which some of (n,) actuators are free."""
     if keep.all():
         return regressed
     stiffness, left, right = condensed(regressed.stiffness, keep)
@@ -280,7 +272,7 @@ def condensed_regression(regressed: Regressed, keep: NDArray[np.bool_]) -> Regre
 
 
 def kept_places(places: Places, keep: NDArray[np.bool_], stiffness: Array) -> Places:
-    """Return the places of actuators that are kept of (n,), as (n, n) K_c lets the others move."""
+    """Return the positions of (n,) actuators kept, as (n, n) K_c lets the others move."""
     if keep.all():
         return places
     motion, changes = places.motion, places.changes

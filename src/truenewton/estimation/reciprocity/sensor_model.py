@@ -1,18 +1,22 @@
-"""Where sensors see the mirror and where forces do work: from displacements of one to the other.
+"""The unknowns of reciprocity, and what the sensors see at given offsets.
 
-Between its actuators the glass bends nearly as a thin plate. The smoothest plate through what the
+The unknowns are the logarithms of alpha and of the sensor gains, and the offsets of the sensors
+from their magnets. H maps displacements at the sensors to those at the magnets, where the forces do
+work.
+
+Between its actuators the shell bends nearly as a thin plate. The smoothest plate through what the
 sensors see at s = x - delta,
 
     u(p) = sum_k a_k phi(p - x_k) + b (1, p),    sum a = 0,  sum a x = 0,    phi = r^2 log r
 
-has its forces a where the magnets are, x. H takes u(s) to u(x), G_x and G_y to its slopes at the
-sensors. As u is linear in what it is held to, the change of H with an offset is exact:
+has its forces a at the magnets, x. H maps u(s) to u(x), G_x and G_y to its slopes at the sensors.
+As u is linear in the values that it interpolates, the change of H with an offset is exact:
 
     d(H z) / d(delta_xj) = H e_j (G_x z)_j
 
-A model of the glass knows better: what sensors at s read is N(delta) times what they would read at
-their magnets, and H = H_0 N^-1, G_x = N_x N^-1 with N_x the change of N along x. N is a series of
-second order in the offsets, row by row, of which H and G are exact.
+A model of the shell is more accurate: sensors at s read N(delta) times what they would read at
+their magnets, and H = H_0 N^-1, G_x = N_x N^-1 with N_x the derivative of N along x. N is a series
+of second order in the offsets, row by row, from which H and G follow exactly.
 """
 
 from __future__ import annotations
@@ -42,19 +46,11 @@ OFFSETS = (Kind.X, Kind.Y)
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """What the unknowns are.
+    """Values of the unknowns."""
 
-    Attributes
-    ----------
-    log_alpha, log_gain
-        (n,) of true / commanded Newton; of true displacement / reading.
-    offset
-        (2, n) x and y of magnet less sensor [m].
-    """
-
-    log_alpha: Array
-    log_gain: Array
-    offset: Array
+    log_alpha: Array  # (n,) of true / commanded Newton
+    log_gain: Array  # (n,) of true displacement / reading
+    offset: Array  # (2, n) x and y of magnet less sensor [m]
 
     @property
     def alpha(self) -> Array:
@@ -67,7 +63,7 @@ class Values:
         return np.exp(self.log_gain)
 
     def same_sensors(self, other: Values) -> bool:
-        """Return whether gains and offsets are those of others."""
+        """Return whether gains and offsets are the same."""
         same_gain = np.array_equal(self.log_gain, other.log_gain)
         return same_gain and np.array_equal(self.offset, other.offset)
 
@@ -79,28 +75,19 @@ class Values:
 
 
 def at_nominal(n: int) -> Values:
-    """Return what is declared: every alpha and gain 1, sensors at their magnets."""
+    """Return the declared values: every alpha and gain 1, sensors at their magnets."""
     return Values(np.zeros(n), np.zeros(n), np.zeros((2, n)))
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of the data.
+    """Which unknowns are estimated, and their spreads."""
 
-    Attributes
-    ----------
-    gain_spread
-        Standard deviation of log g over the sensors; 0 if the gains are known, infinite if nothing
-        is known of them.
-    offset_spread
-        Standard deviation of an offset along an axis [m]; 0 if sensors are at their magnets.
-    estimated
-        Whether the data give both spreads, where these are neither 0 nor infinite.
-    """
-
+    # standard deviation of log g over the sensors; 0: gains known, infinite: free
     gain_spread: float = 0.0
+    # standard deviation of an offset along an axis [m]; 0: at the magnets
     offset_spread: float = 0.0
-    estimated: bool = False
+    estimated: bool = False  # whether spreads that are neither 0 nor infinite follow from the data
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
@@ -109,18 +96,18 @@ class Request:
         return (Kind.ALPHA, *gains, *(OFFSETS if self.offset_spread else ()))
 
     def information(self, n: int) -> Array:
-        """Return (u,) what is known of the unknowns beforehand, each apart."""
+        """Return the (u,) prior information on the unknowns."""
         spreads = {Kind.ALPHA: np.inf, Kind.GAIN: self.gain_spread}
         return np.concatenate(
             [np.full(n, spreads.get(kind, self.offset_spread) ** -2.0) for kind in self.kinds]
         )
 
     def vector(self, values: Values) -> Array:
-        """Return the (u,) unknowns that are asked for."""
+        """Return the (u,) unknowns that are estimated."""
         return np.concatenate([values.of(kind) for kind in self.kinds])
 
     def moved(self, values: Values, step: Array) -> Values:
-        """Return the values after a (u,) step, what scale is free held at mean log 0."""
+        """Return the values after a (u,) step, with free scales at mean log 0."""
         by = dict(zip(self.kinds, np.split(step, len(self.kinds)), strict=True))
         nothing = np.zeros_like(values.log_alpha)
         log_alpha = values.log_alpha + by[Kind.ALPHA]
@@ -133,35 +120,25 @@ class Request:
         )
 
 
-# Spreads of log g and of offsets [m] to begin with; the data give their own.
+# First spreads of log g and of offsets [m], before they are estimated.
 START_REQUEST = Request(gain_spread=0.004, offset_spread=5e-4, estimated=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the enabled actuators are.
+    """Positions of the enabled actuators."""
 
-    Attributes
-    ----------
-    x, y, nz
-        (n,) of their magnets [m, m, -].
-    motion
-        (n, n) H_0, displacements at the magnets for those that sensors there see, by a model of the
-        glass; None where there is none.
-    changes
-        (5, n, n) how readings change with the places of the sensors, along x, y [1/m], xx, xy, yy
-        [1/m2], for what all would read at their magnets; None where no model tells.
-    """
-
-    x: Array
-    y: Array
-    nz: Array
-    motion: Array | None = None
+    x: Array  # (n,) of their magnets [m]
+    y: Array  # (n,) of their magnets [m]
+    nz: Array  # (n,) z component of the normals
+    motion: Array | None = None  # (n, n) H_0 for sensors at the magnets, by a model of the shell
+    # (5, n, n) derivatives of the readings with the positions of the sensors, x, y [1/m], xx, xy,
+    # yy [1/m2], for what all would read at their magnets, by a model of the shell
     changes: Array | None = None
 
     @property
     def n(self) -> int:
-        """Their number."""
+        """Number of actuators."""
         return len(self.x)
 
     @property
@@ -171,21 +148,21 @@ class Places:
 
     @property
     def rigid(self) -> Array:
-        """(n, 3) R: rigid motions as the magnets have them, tilts in units of ``length``."""
+        """(n, 3) R: rigid motions of the magnets, tilts in units of ``length``."""
         return np.stack([self.nz, self.x / self.length, self.y / self.length], axis=1)
 
     def rigid_readings(self, values: Values) -> Array:
-        """Return (n, 3) what the sensors read of rigid motions, by their gains and offsets."""
+        """Return (n, 3) readings of rigid motions, by gains and offsets of the sensors."""
         dx, dy = values.offset
         seen = [self.nz, (self.x - dx) / self.length, (self.y - dy) / self.length]
         return np.asarray(np.stack(seen, axis=1) / values.gain[:, None])
 
 
 def places_of(layout: Layout, motion: Array | None = None) -> Places:
-    """Return the places of the enabled actuators of a layout, and what a model of the glass tells.
+    """Return the positions of the enabled actuators of a layout, and what a shell model implies.
 
-    That is (n, n) motion of all actuators, or (6, n, n) motion and changes. Disabled ones float:
-    what their sensors would read is that of the plate between the others.
+    ``motion`` is (n, n) for all actuators, or (6, n, n) with its changes. Disabled actuators float:
+    their sensors read the plate between the others.
     """
     on = layout.enabled
     places = Places(layout.x[on], layout.y[on], layout.nz[on])
@@ -203,26 +180,18 @@ def places_of(layout: Layout, motion: Array | None = None) -> Places:
 
 @dataclass(frozen=True, eq=False)
 class SensorModel:
-    """What the sensors see.
+    """What the sensors see."""
 
-    Attributes
-    ----------
-    motion
-        (n, n) H, displacements at the magnets for those at the sensors.
-    slopes
-        (2, n, n) G_x, G_y: slopes at the sensors for displacements there [1/m]; None where offsets
-        are not asked for.
-    """
-
-    motion: Array
+    motion: Array  # (n, n) H, displacements at the magnets for those at the sensors
+    # (2, n, n) G_x, G_y: slopes for displacements at the sensors [1/m]; None without offsets
     slopes: Array | None = None
 
 
-def sight(places: Places, values: Values, *, slopes: bool) -> SensorModel:
-    """Return what the sensors see, by a model of the glass, or of a plate if off.
+def sensors_at(places: Places, values: Values, *, slopes: bool) -> SensorModel:
+    """Return the (n, n) sensor model at given values, by a model of the shell or by a plate.
 
-    Without either H is 1: an annular sensor round its magnet sees less of a bend than that has, but
-    nearly in proportion over the mirror, which leaves the stiffness nearly symmetric.
+    Without either H is 1: an annular sensor around its magnet sees less of a bend, but nearly in
+    proportion over the mirror, so that the stiffness stays nearly symmetric.
     """
     n = places.n
     motion = np.eye(n) if places.motion is None else places.motion
@@ -243,11 +212,11 @@ def sight(places: Places, values: Values, *, slopes: bool) -> SensorModel:
     return SensorModel(motion @ across[0], across[1:])
 
 
-def seen_from(places: Places, offset: Array) -> Array:
-    """Return (n, n) H of `sight` alone, for (2, n) offsets, in no more memory than it takes."""
+def motion_from(places: Places, offset: Array) -> Array:
+    """Return only the (n, n) H of `sensors_at` for (2, n) offsets, with little memory."""
     if places.motion is not None or not offset.any():
         values = Values(np.zeros(places.n), np.zeros(places.n), offset)
-        return sight(places, values, slopes=bool(offset.any())).motion
+        return sensors_at(places, values, slopes=bool(offset.any())).motion
     n, at = places.n, np.stack([places.x, places.y]) / places.length
     system = _held_plate(at - offset / places.length, at)
     factors = lu_factor(system.T, overwrite_a=True, check_finite=False)
@@ -256,7 +225,7 @@ def seen_from(places: Places, offset: Array) -> Array:
 
 
 def _by_glass(motion: Array, changes: Array, offset: Array) -> SensorModel:
-    """Return what sensors see off their magnets, by a model of the glass."""
+    """Return what sensors off their magnets see, by a model of the shell."""
     x, y = -offset[:, :, None]
     along, across, xx, xy, yy = changes
     slopes = np.stack([along + x * xx + y * xy, across + x * xy + y * yy])
@@ -267,7 +236,7 @@ def _by_glass(motion: Array, changes: Array, offset: Array) -> SensorModel:
 
 
 def _held_plate(seen: Array, centres: Array) -> Array:
-    """Return (n + 3, n + 3) the equations of a plate held where (2, n) sensors see it."""
+    """Return the (n + 3, n + 3) equations of a plate through (2, n) sensor positions."""
     n = seen.shape[1]
     system = np.zeros((n + 3, n + 3))
     _plate_rows(seen, centres, system[:n])
@@ -276,7 +245,7 @@ def _held_plate(seen: Array, centres: Array) -> Array:
 
 
 def _plate_rows(of: Array, centres: Array, rows: Array) -> Array:
-    """Fill (m, n + 3) rows with what a plate is at places (2, m), some at a time; return them."""
+    """Fill (m, n + 3) rows with the plate at positions (2, m), in parts; return them."""
     m, n = of.shape[1], centres.shape[1]
     for start in range(0, m, ROWS_AT_ONCE):
         some = slice(start, min(start + ROWS_AT_ONCE, m))
@@ -286,12 +255,12 @@ def _plate_rows(of: Array, centres: Array, rows: Array) -> Array:
 
 
 def _linear(of: Array) -> Array:
-    """Return (n, 3) 1, x and y of places (2, n)."""
+    """Return (n, 3) 1, x and y of positions (2, n)."""
     return np.concatenate([np.ones((1, of.shape[1])), of]).T
 
 
 def _plate(of: Array, centres: Array) -> tuple[Array, Array, Array]:
-    """Return (n, n) r^2 log r of places (2, n) from centres, and its slopes along x and y."""
+    """Return (n, n) r^2 log r of positions (2, n) from centres, and its slopes along x and y."""
     x, y = of[:, :, None] - centres[:, None, :]
     square = x**2 + y**2
     log = np.log(np.where(square > 0.0, square, 1.0))
