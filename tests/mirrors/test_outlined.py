@@ -266,13 +266,13 @@ def test_radii_beside_an_outline_may_be_left_out(corner):
     assert wedges == pytest.approx(np.full(3, reach / 2))
 
 
-PAGE = Path(__file__).parents[2] / "docs" / "simulated-bench.md"
+PAGE = Path(__file__).parents[2] / "docs" / "mirrors.md"
 
 
 def test_the_hexagon_and_the_wall_of_the_page(inside, tmp_path, monkeypatch):
     """Its files, the commands below them, a plan; alpha is within its errors of the truth."""
     text, segments = (
-        PAGE.read_text(encoding="utf-8").split("### Any outline")[1].split("### Segments")
+        PAGE.read_text(encoding="utf-8").split("## Any outline")[1].split("## Segments")
     )
     (mine,) = re.findall(r'```toml\n(name = "HEXAGON".*?)```', text, re.DOTALL)
     edge, actuators = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)

@@ -111,7 +111,7 @@ def test_the_page_tells_what_the_server_of_the_tests_switches_on():
 
 def test_the_mirror_file_of_the_page_is_a_mirror(tmp_path):
     """With its table; what may be left out is left out, and has the value that the page gives."""
-    text = (PAGE.parent / "simulated-bench.md").read_text(encoding="utf-8")
+    text = (PAGE.parent / "mirrors.md").read_text(encoding="utf-8")
     (mine,) = re.findall(r'```toml\n(name = "MINE".*?)```', text, re.DOTALL)
     (table,) = re.findall(r"```text\n(ID,X.*?)```", text, re.DOTALL)
     (tmp_path / "actuators.csv").write_text(table)
@@ -120,7 +120,7 @@ def test_the_mirror_file_of_the_page_is_a_mirror(tmp_path):
     plan = replace(small_plan(count=2), mirror="mine.toml")
     assert shapes_and_forces(plan, mirror, tmp_path)[0].shape == (2, 6)
     given = re.findall(
-        r"`(\w+ = [^`]+)`", text.split("All of that has to stand")[1].split("\n\n")[1]
+        r"`(\w+ = [^`]+)`", text.split("## Optional entries")[1].split("\n\n")[2]
     )
     assert len(given) == 8
     for name, value in tomllib.loads("\n".join(given)).items():
