@@ -70,4 +70,9 @@ html_title = "truenewton"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
-html_theme_options = {"show_prev_next": True, "navigation_with_keys": False}
+html_sidebars = {"**": ["globaltoc.html"]}  # all sections, in the order of a learner
+html_theme_options = {
+    "show_prev_next": True,
+    "navigation_with_keys": False,
+    "navbar_center": [],
+}

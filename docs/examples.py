@@ -29,7 +29,10 @@ SHELL = "%%bash"
 def blocks(page: Path) -> list[tuple[str, int, str]]:
     """Return kind, number of the first line, and code of each block of Python in a page."""
     text = page.read_text(encoding="utf-8")
-    found = [(m[1], text[: m.start(2)].count("\n"), m[2]) for m in FENCE.finditer(text)]
+    found = [
+        (m[1], text[: m.start(2)].count("\n"), re.sub(r"^:.*", "", m[2], flags=re.MULTILINE))
+        for m in FENCE.finditer(text)  # a line such as ":tags: [hide-input]" is no code
+    ]
     return [one for one in found if not one[2].startswith(SHELL)]
 
 

@@ -70,8 +70,8 @@ def test_docstrings_of_arrays_give_shapes_or_units():
 
 
 def glossary():
-    """Return the names in the code of the glossary's table in docs/method.md."""
-    text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8").split("## Glossary")[1]
+    """Return the names in the code of the glossary's table in docs/glossary.md."""
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8").split("## Symbols")[1]
     rows = [line for line in text.split("\n## ")[0].splitlines() if line.startswith("|")][2:]
     return [name for row in rows for name in re.findall(r"`([\w.]+)`", row.split("|")[3])]
 

@@ -77,7 +77,7 @@ def acquire(
     operator: Operator | None = None,
     onlooker: Onlooker | None = None,
 ) -> tuple[Path, ...]:
-    """Run a plan on a bench, or go on with it, into a folder of cycle files (docs/acquisition.md).
+    """Run a plan on a bench, or go on with it, into a folder of cycle files (docs/campaign.md).
 
     Whatever ends it, the mirror is brought to rest, and what was taken is kept: the same call goes
     on where it stopped, and at most the shape under way is taken again.

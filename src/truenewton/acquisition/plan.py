@@ -185,7 +185,7 @@ class CampaignPlan:
         Of one reading.
     settling
         Time given to the mirror after each command [s]; by itself what the pseudo-integrator of
-        P45 takes (docs/air-film.md).
+        P45 takes (docs/simulated-bench.md).
     pause
         Time that it takes to change the load [s]; for the prediction only.
     force_noise

@@ -222,7 +222,7 @@ def calibrate(
         IDs of actuators whose alpha is not wanted, as of channels that are known to be bad. Those
         of a matrix are released: the others are seen in states in which these push nothing.
     client
-        A `dask.distributed.Client`, which ``read`` was given as well (docs/cluster.md).
+        A `dask.distributed.Client`, which ``read`` was given as well (docs/campaign.md).
     processes
         How many segments are calibrated at once, each in a process of its own; unless given, as
         many as there are processors, or one where segments are small or there is a client.

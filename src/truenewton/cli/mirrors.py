@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def run(
     mirror: str = typer.Argument(
-        "", help="A mirror to tell more of: its name, or a TOML file (docs/simulated-bench.md)."
+        "", help="A mirror to tell more of: its name, or a TOML file (docs/mirrors.md)."
     ),
     plot: bool = typer.Option(
         False, "--plot", help="Draw its actuators and glass (figure 2) as PNG."

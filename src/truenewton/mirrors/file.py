@@ -97,7 +97,7 @@ def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
-    """Return a mirror in one piece by its name or from a TOML file (docs/simulated-bench.md).
+    """Return a mirror in one piece by its name or from a TOML file (docs/mirrors.md).
 
     Raises
     ------

@@ -15,7 +15,7 @@ the arms) are not coupled to the rest Q, except by uneven bias magnets:
 A coupling is an error, of alpha (forces R'K do not balance) or of the gains (K R needs force), and
 is removed if alpha is known. That brings the modes nearer to the truth: on simulated P45 by 2 to 10
 per cent on average, and in each of 60 campaigns; on the measured LBT672, compared with an
-independent shell model, by up to a third for the softest (docs/stiffness-modes.md).
+independent shell model, by up to a third for the softest (docs/modes.md).
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def rows_of(head):
 
 
 def test_the_page_has_the_nodes_of_client_and_server():
-    variables = rows_of("| variable | type | what it holds |")
+    variables = rows_of("| variable | type | contents |")
     said = [told(re.sub(r"`(\w+)`( \(optional\))?", rf"\1 {kind}\2", name))[0]
             for name, kind, _ in variables]  # fmt: skip
     assert said == declared(VARIABLES)
