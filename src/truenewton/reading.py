@@ -132,13 +132,8 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
         Folders of cycle files and single files, or lists of them; one stiffness file may be among
         cycle files.
     client
-<<<<<<< HEAD
         A `dask.distributed.Client`: its workers read one file each, and rows stay in the files
-        (docs/cluster.md).
-=======
-        A `dask.distributed.Client`, whose workers read the files, a file each, and leave rows where
-        they are (docs/campaign.md).
->>>>>>> f887862 (Pages on the campaign, mirrors, hardware, import, tracking, theory and evidence in plain English; JSON is part of the commands)
+        (docs/campaign.md).
 
     Returns
     -------
