@@ -156,7 +156,7 @@ def test_quiet_prints_what_was_written_and_what_is_wrong(inside, folder, tmp_pat
 
 
 def told(page, first):
-    """Return the keys that a table of docs/command-line.md gives by what stands first in its rows."""
+    """Return the keys that a table of docs/command-line.md gives by the first cell of its rows."""
     rows = [line.split("|")[1:3] for line in page.splitlines() if re.match(first, line)]
     bare = {name.strip(): re.sub(r"\([^)]*\)", "", keys) for name, keys in rows}
     return {name: re.findall(r"`(\w+)`", keys) for name, keys in bare.items()}

@@ -10,9 +10,7 @@ from truenewton.cli import options
 
 
 def run(
-    mirror: str = typer.Argument(
-        ..., help="A known mirror, or its TOML file (docs/mirrors.md)."
-    ),
+    mirror: str = typer.Argument(..., help="A known mirror, or its TOML file (docs/mirrors.md)."),
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the cycle files."),
     cycles: int = typer.Option(4, min=1, max=999, help="Cycles for each load."),
     seed: int = typer.Option(1, min=0, help="Decides everything random."),

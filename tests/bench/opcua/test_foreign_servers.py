@@ -119,9 +119,7 @@ def test_the_mirror_file_of_the_page_is_a_mirror(tmp_path):
     mirror = mirror_from(tmp_path / "mine.toml")
     plan = replace(small_plan(count=2), mirror="mine.toml")
     assert shapes_and_forces(plan, mirror, tmp_path)[0].shape == (2, 6)
-    given = re.findall(
-        r"`(\w+ = [^`]+)`", text.split("## Optional entries")[1].split("\n\n")[2]
-    )
+    given = re.findall(r"`(\w+ = [^`]+)`", text.split("## Optional entries")[1].split("\n\n")[2])
     assert len(given) == 8
     for name, value in tomllib.loads("\n".join(given)).items():
         assert np.array_equal(getattr(mirror, name), value), name
