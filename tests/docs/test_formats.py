@@ -8,7 +8,7 @@ import pytest
 from truenewton.bench.simulated.truth import TRUTH
 from truenewton.calibration.export import CALIBRATIONS
 from truenewton.calibration.result import CALIBRATION
-from truenewton.estimation.findings import thresholds
+from truenewton.estimation.findings.code import rows as threshold_rows
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
 from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
@@ -101,6 +101,6 @@ def test_every_section_with_a_table_is_checked():
 
 def test_the_page_of_the_verdict_has_all_thresholds():
     page = VERDICT.read_text(encoding="utf-8")
-    table = [f"| {' | '.join(row)} |" for row in thresholds.rows()]
+    table = [f"| {' | '.join(row)} |" for row in threshold_rows()]
     assert len(table) > 15
     assert [row for row in table if row not in page] == []
