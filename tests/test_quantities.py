@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 
 import astropy.units as u
 import numpy as np
+import pandas as pd
 import pytest
 from astropy.table import QTable, Table
 
@@ -156,6 +157,27 @@ def test_masked_numbers_are_rows_that_are_not_valid():
     with_unit = replace(one, position=Masked(quantity.to(u.nm), mask=mask))
     assert with_unit.valid.tolist() == [True, False, True, True, True, True]
     np.testing.assert_allclose(with_unit.position[0], ONE.position[0], rtol=1e-12)
+
+
+def test_columns_of_pandas_are_arrays():
+    """A Series has a method `mask`, and a DataFrame is a table of forces."""
+    actuators = pd.DataFrame({"x": LAYOUT.x, "y": LAYOUT.y, "id": LAYOUT.id}).convert_dtypes()
+    one = tn.layout(actuators.x, actuators.y, id=actuators.id)
+    assert np.array_equal([one.x, one.y, one.id], [LAYOUT.x, LAYOUT.y, LAYOUT.id])
+    rows = pd.DataFrame({"shape": ONE.shape, "sign": ONE.sign, "valid": ONE.valid})
+    force = pd.DataFrame(1e3 * ONE.force)
+    force.attrs["units"] = "mN"  # as of xarray
+    made = replace(ONE, shape=rows["shape"], sign=rows.sign, valid=rows.valid, force=force)
+    np.testing.assert_allclose(made.force, ONE.force, rtol=1e-15)
+    gap = pd.Series([1.0, None, 2.0, 3.0])
+    for values, words in (
+        (gap, "X of actuator 2 is not finite"),
+        (pd.Series(list("abcd")), "X is not num"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            tn.layout(values.convert_dtypes(), LAYOUT.y)
+    with pytest.raises(FormatError, match="ID is not numbers"):
+        tn.layout(LAYOUT.x, LAYOUT.y, id=gap.convert_dtypes())
 
 
 def test_masked_numbers_without_rows_are_refused():

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.errors import FormatError
-from truenewton.quantities import mask_of, other_unit
+from truenewton.quantities import mask_of, other_unit, unit_of
 
 Array = NDArray[np.float64]
 
@@ -39,26 +39,40 @@ def jsonable(value: Any) -> Any:
 
 
 def freeze(record: object, *names: str, dtype: Any = np.float64) -> None:
-    """Make arrays of a new frozen dataclass read-only, contiguous and of one type.
+    """Make fields of a new frozen dataclass read-only, contiguous arrays of one type.
 
-    They are copied unless they are that already.
+    Anything that `numpy.asarray` accepts becomes an array: columns of pandas, polars, xarray and
+    astropy, too. Arrays that are read-only and of this type are not copied.
 
     Raises
     ------
     FormatError
-        One of them has a unit, or is masked: neither would be kept.
+        One of them has a unit, is masked, or is not numbers.
     """
     for name in names:
         given = getattr(record, name)
-        if getattr(given, "unit", None) is not None:
-            raise other_unit(name, str(given.unit), "")
+        if (unit := unit_of(given)) is not None:
+            raise other_unit(name, str(unit), "")
         if mask_of(given) is not None:
             raise FormatError(f"{name.upper()} is masked", remedy="give all of it, or leave it out")
-        values = np.asarray(given, dtype=dtype, order="C")
+        values = _as_array(given, dtype, name)
         if values is not given or values.flags.writeable:
             values = np.array(values)
             values.setflags(write=False)
             object.__setattr__(record, name, values)
+
+
+def _as_array(given: Any, dtype: Any, name: str) -> NDArray[Any]:
+    """Return the (...,) numbers of a field; missing ones of pandas are NaN."""
+    try:
+        if hasattr(given, "isna") and np.any(given.isna()) and np.dtype(dtype) == float:
+            given = given.to_numpy(dtype=float, na_value=np.nan)
+        with np.errstate(invalid="raise"):  # no integer is NaN
+            return np.asarray(given, dtype=dtype, order="C")
+    except (TypeError, ValueError, FloatingPointError) as error:
+        raise FormatError(
+            f"{name.upper()} is not numbers ({error})", remedy="give numbers"
+        ) from None
 
 
 def spread(values: Array, on: NDArray[np.bool_]) -> Array:

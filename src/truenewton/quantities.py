@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, ParamSpec, TypeVar
 
@@ -131,15 +131,15 @@ def in_unit(value: Any, unit: str, name: str) -> Any:
             value = u.Quantity(value)
         except (u.UnitsError, TypeError):
             raise other_unit(name, "several units", unit) from None
-    own = getattr(value, "unit", None)
+    own = unit_of(value)
     if own is None:
         return value
     import astropy.units as u
 
     mask = mask_of(value)
     try:
-        plain = np.asarray(getattr(value, "unmasked", value)) * own
-        numbers = u.Quantity(plain).to_value(u.Unit(unit), equivalencies=u.temperature())
+        plain = u.Quantity(np.asarray(getattr(value, "unmasked", value)), own)
+        numbers = plain.to_value(u.Unit(unit), equivalencies=u.temperature())
     except (u.UnitsError, TypeError, ValueError):
         raise other_unit(name, str(own) or "numbers without unit", unit) from None
     if mask is not None:
@@ -170,7 +170,16 @@ def taking_units(
 def mask_of(value: Any) -> NDArray[np.bool_] | None:
     """Return the (...,) mask of masked numbers; None if nothing is masked."""
     mask = getattr(value, "mask", None)
+    if callable(mask):  # a method of pandas, whose missing numbers are NaN
+        return None
     return np.asarray(mask, dtype=np.bool_) if mask is not None and np.any(mask) else None
+
+
+def unit_of(value: Any) -> Any:
+    """Return the unit of numbers: that of astropy, or the attribute ``units`` of xarray and pandas."""
+    if isinstance(attrs := getattr(value, "attrs", None), Mapping):
+        return attrs.get("units", attrs.get("unit"))
+    return getattr(value, "unit", None)
 
 
 def other_unit(name: str, has: str, want: str) -> FormatError:
