@@ -176,7 +176,7 @@ def mask_of(value: Any) -> NDArray[np.bool_] | None:
 
 
 def unit_of(value: Any) -> Any:
-    """Return the unit of numbers: that of astropy, or the attribute ``units`` of xarray and pandas."""
+    """Return the unit of numbers, of astropy or in ``attrs`` of xarray and pandas; or None."""
     if isinstance(attrs := getattr(value, "attrs", None), Mapping):
         return attrs.get("units", attrs.get("unit"))
     return getattr(value, "unit", None)
