@@ -35,6 +35,8 @@ class Quantity:
     why, fault
         Remedy and fault of a number outside, as 'ADDED is {:g} N'; by default made from the range
         and the name of the field.
+    of_mass
+        Factor from a mass [kg], where one is accepted instead.
     """
 
     unit: str = ""
@@ -42,6 +44,7 @@ class Quantity:
     high: float = MAX_MAGNITUDE
     why: str = ""
     fault: str = ""
+    of_mass: float = 0.0
 
     def check(self, value: Any, name: str = "") -> None:
         """Raise FormatError if a number, or one in a nested tuple, is outside the range."""
@@ -89,7 +92,7 @@ def convert_quantities(record: object) -> None:
     kinds = {field.name: str(field.type) for field in fields(record)}  # type: ignore[arg-type]
     for name, quantity in type(record).QUANTITIES.items():  # type: ignore[attr-defined]
         given = getattr(record, name)
-        value = in_unit(given, quantity.unit, name)
+        value = in_unit(given, quantity.unit, name, quantity.of_mass)
         if value is not given:
             if np.ndim(value) == 1 and "tuple" in kinds[name]:
                 value = tuple(value.tolist())
@@ -113,11 +116,11 @@ def check_quantities(record: object, inside: str = "") -> None:
                 check_quantities(value, f"{inside}{field.name}.")
 
 
-def in_unit(value: Any, unit: str, name: str) -> Any:
+def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0) -> Any:
     """Return a number or (...,) numbers converted to a unit, as plain numbers; masks are kept.
 
     ``value`` is a Quantity, a list of them, a column of a table, or plain numbers, which are
-    returned unchanged.
+    returned unchanged. ``of_mass`` is as of `Quantity`.
 
     Raises
     ------
@@ -139,6 +142,8 @@ def in_unit(value: Any, unit: str, name: str) -> Any:
     mask = mask_of(value)
     try:
         plain = u.Quantity(np.asarray(getattr(value, "unmasked", value)), own)
+        if of_mass and plain.unit.is_equivalent(u.kg):
+            plain = of_mass * plain.to_value(u.kg) * u.Unit(unit)
         numbers = plain.to_value(u.Unit(unit), equivalencies=u.temperature())
     except (u.UnitsError, TypeError, ValueError):
         raise other_unit(name, str(own) or "numbers without unit", unit) from None

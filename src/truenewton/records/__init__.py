@@ -6,6 +6,7 @@ stiffness_matrix  a measured stiffness: commanded force per displacement
 segmented         data of a mirror in several segments
 result            what all results have in common; their columns and files
 parts             the results of the segments of a mirror
+tables            cycles from arrays and long tables
 samples           raw samples, averaged to rows
 file              cycle and stiffness files
 """

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import datetime
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.records.tables import cycles_from_arrays, cycles_in_table, layout_of
 from truenewton.rounding import counted, html_table, with_error
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
@@ -55,6 +59,119 @@ class Campaign:
 
     cycles: tuple[Cycle, ...]
     stiffness: StiffnessMatrix | None = None
+
+    @classmethod
+    def from_arrays(
+        cls,
+        instrument: str,
+        positions: Layout | tuple[ArrayLike, ArrayLike],
+        weight: Any,
+        weight_error: Any,
+        loads: Mapping[Load, Sequence[Mapping[str, Any]]],
+        *,
+        enabled: ArrayLike | None = None,
+        date: datetime.datetime | None = None,
+        **more: Any,
+    ) -> Campaign:
+        """Make a campaign from the arrays of each cycle.
+
+        Weights are forces [N], negative as z points up, or masses: these are positive, and are
+        converted with standard gravity, 9.80665 m/s2. Local gravity may differ by 0.3 %, and alpha
+        with it, so give a force if you know it better.
+
+        Parameters
+        ----------
+        instrument
+            Name of the mirror.
+        positions, enabled
+            A layout, or a pair of (n,) x and y [m]; (n,) false for actuators that give no force.
+        weight, weight_error
+            Weight of the mirror and its standard uncertainty.
+        loads
+            For each load a sequence of its cycles, each a dictionary: ``force`` (N, n) [N],
+            ``shape`` (N,) from 1, ``sign`` (N,) +1 or -1. Optional are ``position`` (N, n) [m],
+            ``temperature`` (N,) [deg C], ``valid`` (N,), true by default, ``time`` (N,) [s] or
+            dates, by default one reading a second, ``date`` and ``number``.
+        date
+            Start of the first cycle (UTC), by default now. A cycle without a date of its own
+            begins after the one before.
+        more
+            Other values of `Cycle`: ``gap``, ``force_error``, ``coil_gradient``, ``bias_gradient``.
+
+        Raises
+        ------
+        FormatError, GeometryError, CampaignMismatch
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> bare, ring = tn.Load("bare"), tn.Load("ring", 29.5 * u.g, 0.5 * u.g)
+        >>> cycles = [
+        ...     {"force": c.force, "shape": c.shape, "sign": c.sign} for c in campaign.cycles
+        ... ]
+        >>> tn.Campaign.from_arrays(
+        ...     "P45", (layout.x, layout.y), -2.92, 0.005, {bare: cycles[:2], ring: cycles[2:]}
+        ... )
+        <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
+        """
+        mirror = {"instrument": instrument, "layout": layout_of(positions, enabled), **more}
+        mirror |= {"weight": weight, "weight_error": weight_error}
+        return cls(tuple(cycles_from_arrays(mirror, loads, date)))
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        table: Any,
+        instrument: str,
+        positions: Layout | tuple[ArrayLike, ArrayLike],
+        weight: Any,
+        weight_error: Any,
+        loads: Sequence[Load],
+        *,
+        columns: Mapping[str, str] = MappingProxyType({}),
+        units: Mapping[str, str] = MappingProxyType({}),
+        enabled: ArrayLike | None = None,
+        date: datetime.datetime | None = None,
+        **more: Any,
+    ) -> Campaign:
+        """Make a campaign from a long table, which has one row for each reading of an actuator.
+
+        Parameters
+        ----------
+        table
+            A DataFrame of pandas or polars, a table of astropy, or a dictionary of columns:
+            ``load`` (its name), ``cycle`` (1 by default), ``shape``, ``sign``, ``actuator`` (its
+            ID), ``force``; optional ``time``, ``valid``, ``temperature``, ``position``, and
+            ``row``, the number of the reading if a shape is repeated in a cycle.
+        instrument, positions, weight, weight_error, enabled, date, more
+            As of `from_arrays`.
+        loads
+            All loads of the table.
+        columns, units
+            Names of these columns in the table, if they differ, and units: ``{"force": "mN"}``.
+
+        Raises
+        ------
+        FormatError, GeometryError, CampaignMismatch
+
+        Examples
+        --------
+        >>> bare, rows = tn.Load("bare"), np.arange(90).repeat(45)
+        >>> cycle = campaign.cycles[0]
+        >>> table = {"load": ["bare"] * 4050, "actuator": np.tile(layout.id, 90)}
+        >>> table |= {"shape": cycle.shape[rows], "sign": cycle.sign[rows]}
+        >>> table |= {"f_mN": 1e3 * np.ravel(cycle.force)}
+        >>> tn.Campaign.from_dataframe(
+        ...     table, "P45", layout, -2.92, 0.005, [bare],
+        ...     columns={"force": "f_mN"}, units={"force": "mN"},
+        ... )  # fmt: skip
+        <Campaign of P45: 45 actuators, 1 cycle under bare>
+        """
+        actuators = layout_of(positions, enabled)
+        found = cycles_in_table(table, actuators, loads, columns, units)
+        return cls.from_arrays(
+            instrument, actuators, weight, weight_error, found, date=date, **more
+        )
 
     def __post_init__(self) -> None:
         if self.cycles and (pieces := self.layout.segments):

@@ -12,6 +12,7 @@ from truenewton.quantities import Quantity, check_quantities, convert_quantities
 LEAST_NOISE = 1e-15  # a standard deviation below is none; its inverse square stays finite [N]
 LARGEST_FORCE = 1e6  # beyond it a force is a slip of the unit, and squares must stay finite [N]
 SMALLEST_FORCE = 1e-9  # and the least that the largest one may be: squares stay above zero [N]
+GRAVITY = 9.80665  # standard acceleration, for weights that are given as masses [m/s^2]
 STEEPEST = math.nextafter(90.0, 0.0)  # tilt [deg]
 
 
@@ -19,13 +20,14 @@ def weight_quantity(name: str, highest: float) -> Quantity:
     """Return what the weight of a part is, by its keyword [N]; zero or less."""
     kind = "an added weight" if name == "ADDED" else "a weight"
     why = f"z points up, so {kind} is negative, in N"
-    return Quantity("N", -LARGEST_FORCE, highest, why, f"{name} is {{:g}} N")
+    return Quantity("N", -LARGEST_FORCE, highest, why, f"{name} is {{:g}} N", -GRAVITY)
 
 
 def error_quantity(name: str, unit: str) -> Quantity:
     """Return what the standard uncertainty of a weight or angle is, by its keyword."""
     why = f"give a standard uncertainty, zero or more, in {unit}"
-    return Quantity(unit, 0.0, LARGEST_FORCE, why, f"{name} is {{:g}}")
+    of_mass = GRAVITY if unit == "N" else 0.0
+    return Quantity(unit, 0.0, LARGEST_FORCE, why, f"{name} is {{:g}}", of_mass)
 
 
 # Q and P with their standard uncertainties [N], of a mirror or a segment of one.
@@ -43,6 +45,8 @@ MIRROR_WEIGHT = {
 class Load:
     """The added weight and the tilt of the mirror; Quantities are converted.
 
+    A mass, as ``45 * u.g``, becomes a weight at standard gravity, 9.80665 m/s2.
+
     Attributes
     ----------
     name
@@ -53,6 +57,11 @@ class Load:
         Name of the weight; loads with the same tool have a common error of their weight.
     tilt, tilt_error
         Angle between optical axis and vertical, and its standard uncertainty [deg].
+
+    Raises
+    ------
+    FormatError
+        A number is out of its range, such as a positive added weight.
 
     Examples
     --------
@@ -78,6 +87,7 @@ class Load:
 
     def __post_init__(self) -> None:
         convert_quantities(self)
+        check_quantities(self)
 
     @property
     def key(self) -> str:
@@ -86,7 +96,6 @@ class Load:
 
 
 def check_load(load: Load) -> None:
-    """Refuse an invalid load."""
-    check_quantities(load)
+    """Raise FormatError for a load without a name."""
     if not load.name.strip():
         raise FormatError("LOAD is blank", remedy="name the load")
