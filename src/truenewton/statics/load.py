@@ -87,7 +87,10 @@ class Load:
 
     def __post_init__(self) -> None:
         convert_quantities(self)
-        check_quantities(self)
+        try:
+            check_quantities(self)
+        except FormatError as error:
+            raise error.changed(fault=f"load '{self.name}': {error.fault}") from None
 
     @property
     def key(self) -> str:
