@@ -31,7 +31,7 @@ from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import p45
 from truenewton.tracking import fit
 from truenewton.tracking.days import YEAR, covariances
-from truenewton.tracking.scatter import Scatter
+from truenewton.tracking.lines import Scatter
 
 SEED = 8171
 MEAN_K, SPREAD_K = -1.1e-3, 2e-4

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import reduce
 from operator import itemgetter
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from truenewton.errors import ClusterFailed, TrueNewtonError
 
@@ -21,16 +21,7 @@ Shared = TypeVar("Shared")
 
 FAN = 8  # results that are added at once
 PATIENCE = "10s"  # for a scheduler to answer
-
-
-class Client(Protocol):
-    """The methods of a `dask.distributed.Client` that are used."""
-
-    def map(self, func: Callable[..., Any], *iterables: Any, pure: bool = ...) -> Any:
-        """Apply a function to each item; return futures."""
-
-    def submit(self, func: Callable[..., Any], *args: Any, pure: bool = ...) -> Any:
-        """Call a function; return a future."""
+Client = Any  # a `dask.distributed.Client`
 
 
 def each(

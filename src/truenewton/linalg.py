@@ -239,23 +239,13 @@ def inverse_of_factor(factor: Array) -> Array:
 class LeastSquares:
     """Solution of least squares with right-hand sides of variance 1.
 
-    Attributes
-    ----------
-    values
-        (p,) the solution.
-    root
-        (p, p) upper triangular; covariance = root root'. Its leading (q, q) block is the root of
-        the covariance of the first q unknowns if the others are known.
-    residual
-        (m,) right-hand side less matrix times values.
-    orthogonal
-        (m, p) orthonormal basis of the columns.
+    The leading (q, q) block of ``root`` is that of the first q unknowns if the others are known.
     """
 
-    values: Array
-    root: Array
-    residual: Array
-    orthogonal: Array
+    values: Array  # (p,) the solution
+    root: Array  # (p, p) upper triangular; covariance = root root'
+    residual: Array  # (m,) right-hand side less matrix times values
+    orthogonal: Array  # (m, p) orthonormal basis of the columns
 
     @property
     def chi2(self) -> float:

@@ -13,11 +13,9 @@ from truenewton.modal.findings import compare_modes, find_modes
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report import findings as module
-from truenewton.report.evidence import ModeResiduals
 from truenewton.report.figures import still_figures
-from truenewton.report.findings import investigate
-from truenewton.report.page.page import page
-from truenewton.report.page.sections import modal_sections
+from truenewton.report.findings import ModeResiduals, investigate
+from truenewton.report.page.page import modal_sections, page
 
 
 @pytest.fixture(scope="module")

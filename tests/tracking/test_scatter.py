@@ -22,8 +22,7 @@ from helpers.tracked import (
 from truenewton.errors import RankDeficient
 from truenewton.recalibration.summary import lines as lines_of_run
 from truenewton.tracking.days import covariances, gather_days
-from truenewton.tracking.linear_fit import relative_days
-from truenewton.tracking.scatter import Scatter, estimate_scatter, expanded
+from truenewton.tracking.lines import Scatter, estimate_scatter, expanded, relative_days
 from truenewton.tracking.summary import lines
 
 K = np.random.default_rng(11).normal(MEAN_K, SPREAD_K, 45)

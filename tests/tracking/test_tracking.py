@@ -25,7 +25,7 @@ from truenewton.statics.load import Load
 from truenewton.tracking.days import DatedCalibration, covariances, weight_groups
 from truenewton.tracking.figures import plot_law, plot_population, tracking_figures
 from truenewton.tracking.law import validity_of
-from truenewton.tracking.linear_fit import linear_fit
+from truenewton.tracking.lines import linear_fit
 from truenewton.tracking.population import fit_population, most_outlying, populations_from
 from truenewton.tracking.summary import lines
 

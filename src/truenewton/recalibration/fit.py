@@ -45,19 +45,17 @@ from truenewton.recalibration.prior import (
     EARLIER,
     AnyKnown,
     PriorCalibration,
-    known_for,
-    prior_from,
-    shared_errors,
-)
-from truenewton.recalibration.short_run import (
     PriorResiduals,
     balancing,
     build_problem,
     constrain,
     degrees_of,
     inverse_of,
+    known_for,
+    prior_from,
     prior_residuals,
     run_from,
+    shared_errors,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.parts import Parts, has_parts

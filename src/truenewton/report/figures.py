@@ -34,8 +34,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import figures_of
-from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
-from truenewton.report.findings import Findings
+from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowResiduals
 from truenewton.report.layers import calibration_layers
 from truenewton.rounding import percent
 

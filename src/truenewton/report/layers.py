@@ -14,7 +14,7 @@ from truenewton.estimation.paper.identifiability import leverage
 from truenewton.figures.maps import plot_map
 from truenewton.figures.style import MILLIMETRE, SIGNED_COLOURS
 from truenewton.records.parts import Parts
-from truenewton.report.evidence import Evidence
+from truenewton.report.findings import Evidence
 from truenewton.rounding import significant, with_error
 from truenewton.statics.arms import arms_in_units_of_rms
 from truenewton.statics.layout import Layout
@@ -22,32 +22,16 @@ from truenewton.statics.layout import Layout
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """One quantity of all actuators.
+    """One quantity of all actuators."""
 
-    Attributes
-    ----------
-    key, name, unit
-        For programs; for people; '' without unit.
-    values
-        (n,), NaN if unknown.
-    meaning
-        One sentence.
-    errors
-        (n,) to which the values are rounded; two digits if None.
-    signed
-        Whether colours are centred on zero.
-    reach
-        Largest value of the colours, if signed; NaN: from the values.
-    """
-
-    key: str
-    name: str
-    unit: str
-    values: Array
-    meaning: str
-    errors: Array | None = None
-    signed: bool = False
-    reach: float = float("nan")
+    key: str  # for programs
+    name: str  # for people
+    unit: str  # '' without one
+    values: Array  # (n,), NaN if unknown
+    meaning: str  # one sentence
+    errors: Array | None = None  # (n,) to which the values are rounded; two digits if None
+    signed: bool = False  # whether colours are centred on zero
+    reach: float = float("nan")  # largest value of the colours, if signed; NaN: from the values
 
     @property
     def title(self) -> str:

@@ -1,8 +1,7 @@
 """Alpha against temperature and time, from calibrations of several days.
 
 days        reads the calibrations, checks them, and puts them in order
-linear_fit  a line for each actuator through its days
-scatter     scatter from day to day, of each actuator and in common; days that are outliers
+lines       a line for each actuator through its days; scatter; days that are outliers
 population  the common distribution of the coefficients, and actuators that are outliers
 fit         `track`: from days to the law
 law         the result and its file; alpha at any temperature and time; when to calibrate again

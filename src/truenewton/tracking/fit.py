@@ -33,14 +33,20 @@ from truenewton.tracking.days import (
     weight_groups,
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
-from truenewton.tracking.linear_fit import LinearFit, linear_fit, relative_days
+from truenewton.tracking.lines import (
+    LinearFit,
+    Scatter,
+    estimate_scatter,
+    linear_fit,
+    relative_days,
+    widen_outlying_day,
+)
 from truenewton.tracking.population import (
     Population,
     fit_population,
     most_outlying,
     populations_from,
 )
-from truenewton.tracking.scatter import Scatter, estimate_scatter, widen_outlying_day
 
 # Of the squares of one effect, independent of the other: below, the two cannot be separated.
 MIN_INDEPENDENT_FRACTION = 0.01

@@ -31,8 +31,8 @@ from truenewton.records.parts import body_or_parts_from
 from truenewton.records.result import KINDS, Result, ResultKind
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
+from truenewton.tracking.lines import expanded
 from truenewton.tracking.population import Population
-from truenewton.tracking.scatter import expanded
 
 if TYPE_CHECKING:
     from astropy.table import QTable

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import chi2_isf, normal_isf, normal_sf, t_isf
-from truenewton.tracking.scatter import maximise_likelihood
+from truenewton.tracking.lines import maximise_likelihood
 
 TAIL = 0.025  # probability beyond each end of a 95 % interval
 SPREAD_GRID = 25  # number of spreads over which a probability is averaged
@@ -57,23 +57,13 @@ class Population:
 
 @dataclass(frozen=True, eq=False)
 class PopulationFit:
-    """The fit of the population.
+    """The fit of the population."""
 
-    Attributes
-    ----------
-    variance, variance_covariance
-        (q,) s^2 of each effect and their (q, q) covariance, from the expected information.
-    mean, mean_covariance
-        (q,) and (q, q).
-    projection
-        (N, N) P.
-    """
-
-    variance: Array
-    variance_covariance: Array
-    mean: Array
-    mean_covariance: Array
-    projection: Array
+    variance: Array  # (q,) s^2 of each effect
+    variance_covariance: Array  # (q, q), from the expected information
+    mean: Array  # (q,)
+    mean_covariance: Array  # (q, q)
+    projection: Array  # (N, N) P
 
 
 def fit_population(

@@ -1,13 +1,20 @@
-"""The page: one file that opens in any browser without network."""
+"""The page and its sections: one file that opens in any browser without network.
+
+Every figure is also described in words.
+"""
 
 from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
 from bokeh.resources import Resources
@@ -16,25 +23,39 @@ from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.summary import headline, summary_rows
+from truenewton.calibration.summary import (
+    as_sentences,
+    error_budget,
+    headline,
+    rejected_values,
+    summary_rows,
+)
+from truenewton.estimation.findings.estimate import typical
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
-from truenewton.records.cycle import Source
-from truenewton.records.parts import has_parts
-from truenewton.report.change import Change
-from truenewton.report.figures import findings_figures
-from truenewton.report.page.sections import (
-    Section,
-    TextTable,
-    all_figures,
-    changed_segments,
-    evidence_sections,
-    modal_sections,
-    segment_sections,
-    times,
+from truenewton.modal.figures import chosen_modes
+from truenewton.modal.findings import ModalFindings
+from truenewton.modal.modal_base import ModalBase
+from truenewton.modal.summary import (
+    comparison_text,
+    cost_rows,
+    fitting_error_text,
+    measured_text,
+    rigid_text,
+    sensor_gains_text,
+    static_force_text,
+    stiffness_text,
+    turbulence_text,
 )
+from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Source
+from truenewton.records.parts import Parts, has_parts
+from truenewton.report.change import Change
+from truenewton.report.figures import columns_of_shapes, findings_figures
+from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowResiduals
 from truenewton.report.page.views import Actuators, calibration_views, change_views, palette
 from truenewton.report.verdict import Reported, headline_of, sources_of
+from truenewton.rounding import counted, percent, significant, with_error
 
 # Bokeh's script, which stands in the page; only what figures need.
 BOKEH = Resources(mode="inline", components=["bokeh"], minified=True)
@@ -163,3 +184,274 @@ def _payload(actuators: Actuators) -> dict[str, Any]:
 def _versions() -> str:
     libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
     return f"truenewton {version('truenewton')}, Python {platform.python_version()}, {libraries}"
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of text, omitted without rows; its first column is a name, long cells may wrap."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    wraps: bool = False
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section: paragraphs, then a figure of `Findings.plot` with its caption, then tables."""
+
+    key: str
+    title: str
+    words: tuple[str, ...] = ()
+    figure: str = ""
+    caption: str = ""
+    tables: tuple[TextTable, ...] = ()
+
+
+NO_DATA = (
+    "This page was made from a calibration file, which does not contain them: give the cycles with"
+    " --calibration."
+)
+MAX_REJECTED_ROWS = 50  # in the table
+
+
+def evidence_sections(findings: Findings) -> Iterator[Section]:
+    """Yield the evidence for alpha, in the order of the page."""
+    c, evidence = findings.calibration, findings.evidence
+    if c is None:
+        return
+    yield _budget(c)
+    if evidence is None:
+        yield Section("residuals", "Residuals, singular values and balance", (NO_DATA,))
+        return
+    if isinstance(evidence.residuals, ModeResiduals):
+        yield _modes(evidence.residuals)
+    elif isinstance(findings.data, Campaign):
+        yield _rows(findings.data, c, evidence.residuals)
+    yield _singular_values(evidence)
+    yield _balance(evidence)
+
+
+def _budget(c: Calibration) -> Section:
+    """Return the error budget: of the common scale by source, and of a typical actuator."""
+    budget = error_budget(c)
+    if not budget:
+        words = (
+            "The common scale is a convention (mean alpha 1). The typical error, from the readings,"
+            f" is {percent(typical(c.error, c.alpha))}."
+        )
+        return Section("budget", "Error budget", (words,))
+    parts = "; ".join(f"{name} {percent(size)}" for name, size in budget.items())
+    caption = f"Relative standard uncertainties of alpha: {parts}."
+    if c.unseen:
+        unseen = "; ".join(f"{percent(error.relative)} if {error.name}" for error in c.unseen)
+        caption += f" Undetectable here, and not included: {unseen}."
+    return Section("budget", "Error budget", (), "budget", caption)
+
+
+def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Section:
+    after, kept = residuals.after[residuals.kept], residuals.kept
+    farthest = int(np.argmax(after))
+    shape = columns_of_shapes(residuals)[0][kept][farthest]
+    caption = (
+        f"Imbalance of {counted(after, 'row')} of {counted(campaign.cycles, 'cycle')} in units of"
+        f" its noise, by signed shape and cycle: {_rms(after):.2f} rms (noise alone: 1), largest"
+        f" {after[farthest]:.1f}, at shape {shape} of cycle"
+        f" {residuals.cycle[kept][farthest] + 1}. Crosses: rejected rows."
+    )
+    listed = rejected_values(campaign, c.rejected_rows)
+    rows = tuple(
+        (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
+         str(row["against"]), str(row["actuator"]))
+        for row in listed[:MAX_REJECTED_ROWS]
+    )  # fmt: skip
+    more = f"; the farthest {MAX_REJECTED_ROWS}" if len(listed) > MAX_REJECTED_ROWS else ""
+    head = ("file", "row", "sigma", "against", "largest contribution by actuator")
+    table = TextTable(f"Rejected rows: {len(listed)}{more}", head, rows)
+    return Section("residuals", "Residuals by shape and cycle", (), "residuals", caption, (table,))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _modes(residuals: ModeResiduals) -> Section:
+    before, after = percent(_rms(residuals.before)), percent(_rms(residuals.after))
+    caption = (
+        f"Imbalance of {residuals.after.size} elastic modes per unit of force against their"
+        f" stiffness: {before} rms with alpha = 1, {after} calibrated."
+    )
+    return Section("residuals", "Residuals by mode", (), "residuals", caption)
+
+
+def _singular_values(evidence: Evidence) -> Section:
+    values = evidence.singular_values
+    ratio = float(values[1] / max(values[0], 1e-16 * values[-1]))
+    caption = (
+        "Singular values of the balance, ascending. The first (diamond) belongs to alpha itself;"
+        f" the second is {significant(ratio)} times larger. Patterns with a singular value close to"
+        " the smallest are poorly determined. If the two smallest were equal, alpha would not be"
+        " unique."
+    )
+    return Section("singular-values", "Singular values", (), "singular-values", caption)
+
+
+def _balance(evidence: Evidence) -> Section:
+    title = "The balance before and after"
+    noise = any(np.isfinite(line.noise) for line in evidence.balance)
+    head = ("of", "alpha = 1", "calibrated", "noise alone")[: 4 if noise else 3]
+    rows = tuple(
+        (line.what, *(f"{significant(value)} {line.unit}".rstrip() for value in
+                      (line.before, line.after, line.noise)[: len(head) - 1]))
+        for line in evidence.balance
+    )  # fmt: skip
+    table = TextTable("Rms imbalance" if noise else "Rms imbalance per unit of force", head, rows)
+    if isinstance(evidence.residuals, ModeResiduals):
+        words = "Held-out modes show how well alpha applies to other forces."
+        return Section("balance", title, (words,), tables=(table,))
+    caption = "Imbalance of each signed shape in units of noise, with alpha = 1 and calibrated."
+    return Section("balance", title, (), "balance", caption, (table,))
+
+
+def times(findings: Findings) -> Section:
+    """Return the times and temperatures of the data."""
+    title, c, data = "Temperatures and times", findings.calibration, findings.data
+    if not isinstance(data, Campaign):
+        words = f"Measured on {data.date:%Y-%m-%d %H:%M} UTC"
+        if c is not None and c.date_end != c.date:
+            words += f" to {c.date_end:%Y-%m-%d %H:%M} UTC"
+        if c is not None and np.isfinite(c.temperature):
+            words += f", mean temperature {c.temperature:.1f} °C"
+        return Section("times", title, (f"{words}.",))
+    rejected = Counter(row.cycle for row in c.rejected_rows) if c is not None else Counter()
+    rows = []
+    for k, cycle in enumerate(data.cycles):
+        time = cycle.time[cycle.valid]
+        span = "unknown"
+        if cycle.temperature is not None:
+            some = cycle.temperature[cycle.valid]
+            span = f"{some.min():.2f} to {some.max():.2f}"
+        rows.append(
+            (str(k + 1), cycle.load.name, str(cycle.number), Path(cycle.name).name,
+             f"{cycle.date:%Y-%m-%d %H:%M:%S}", f"{np.ptp(time) / 60:.1f}", str(time.size),
+             str(rejected[k]), span)
+        )  # fmt: skip
+    head = ("cycle", "load", "its number", "file", "start (UTC)", "minutes", "rows", "rejected",
+            "temperature (°C)")  # fmt: skip
+    caption = f"Times of {counted(rows, 'cycle')}, and temperatures if known."
+    tables = (TextTable("Cycles", head, tuple(rows)),)
+    return Section("times", title, (), "temperatures", caption, tables)
+
+
+def all_figures(c: Calibration) -> TextTable:
+    """Return name, value and note of all figures of a calibration."""
+    rows = tuple(summary_rows(c))
+    return TextTable("All figures", ("figure", "value", "note"), rows, wraps=True)
+
+
+def segment_sections(c: Parts[Calibration]) -> tuple[Section, ...]:
+    """Return the segments side by side, then one after the other."""
+    words = (
+        "Each segment is calibrated separately, with its own weight, B and torques. If the command"
+        f" at the end of this page was given data, add --segment {c.numbers[0]} for a page with"
+        " residuals and modes of one segment."
+    )
+    head = ("segment", "range of alpha", "verdict, error and B")
+    table = TextTable(counted(c.numbers, "segment"), head, tuple(summary_rows(c)), wraps=True)
+    sections = [Section("segments", "Segments", (words,), tables=(table,))]
+    for number in c.numbers:
+        key, title = f"segment-{number}", f"Segment {number}"
+        if number in c.failed:
+            told = ("No alpha.", *map(as_sentences, c.failed[number]))
+            sections.append(Section(key, title, told))
+            continue
+        one = c.found[number]
+        told = (f"{headline(one)}. Verdict: {one.verdict.level}.",
+                *map(as_sentences, one.verdict.faults))  # fmt: skip
+        sections.append(Section(key, title, told, tables=(all_figures(one),)))
+    return tuple(sections)
+
+
+def changed_segments(change: Change) -> TextTable:
+    """Return the table of what changed, by segment."""
+    rows = []
+    for number in change.one.layout.segments:
+        part = change.segments.get(number)
+        if part is None:
+            rows.append((str(number), "no alpha in one of them", "", ""))
+            continue
+        farthest = int(np.nanargmax(np.abs(part.sigmas)))
+        known = np.isfinite(part.ratio_error)
+        ratio = with_error(part.ratio, part.ratio_error) if known else f"{part.ratio:.4f}"
+        largest = f"{part.sigmas[farthest]:+.1f} sigma, actuator {part.one.layout.id[farthest]}"
+        rows.append((str(number), ratio, str(part.changed.size), largest))
+    head = ("segment", "common ratio, second to first", "changed actuators", "largest change")
+    return TextTable(counted(rows, "segment"), head, tuple(rows))
+
+
+def modal_sections(findings: Findings) -> Iterator[Section]:
+    """Yield the modal base, or why there is none; nothing of a calibration file."""
+    modes = findings.modes
+    if modes is not None:
+        yield _stiffness_modes(modes)
+        yield _turbulence(modes.after)
+        yield _dissipation(modes.after)
+    elif findings.no_modes:
+        yield Section("modes", "Stiffness modes", (findings.no_modes,))
+
+
+def _stiffness_modes(modes: ModalFindings) -> Section:
+    values = modes.after.modes.stiffness
+    elastic = values[3:]
+    softest = elastic[elastic > 0.0].min(initial=np.inf)
+    rigid = ", ".join(map(stiffness_text, values[:3]))
+    negative = counted(elastic[elastic < 0.0], "elastic mode")
+    words = [
+        f"{counted(values, 'mode')}. Elastic modes: {stiffness_text(softest)} to"
+        f" {stiffness_text(elastic.max())}; {negative} with negative stiffness (of a body: 0)."
+        f" Rigid-body modes: {rigid} (of a free body without bias magnets: 0)."
+    ]
+    if compared := comparison_text(modes):
+        words.append(f"Modes with alpha = 1: {compared}.")
+    if modes.measured is not None:
+        texts = filter(None, (measured_text(modes.measured), rigid_text(modes.measured)))
+        words.append(f"Measured stiffness: {'; '.join(texts)}.")
+    if gains := sensor_gains_text(modes.after):
+        words.append(f"Sensor gains: {gains}.")
+    words += [f"Warning: {as_sentences(each)}" for each in modes.warnings]
+    rows = (
+        ("asymmetry", *map(percent, modes.asymmetry)),
+        ("imbalance", *map(percent, modes.imbalance)),
+    )
+    table = TextTable("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
+    drawn = [f"{k + 1}: {stiffness_text(values[k])}" for k in chosen_modes(values.size)]
+    caption = (
+        "Maps of modes, seen along -z, softest first: displacement of each actuator relative to the"
+        f" largest of the mode. Modes and their stiffness: {'; '.join(drawn)}."
+    )
+    return Section("modes", "Stiffness modes", tuple(words), "modes", caption, (table,))
+
+
+def _turbulence(base: ModalBase) -> Section:
+    caption = "Rms residual wavefront on the actuators after the first N modes of three bases."
+    words = (f"For {turbulence_text(base)}.", f"Between actuators: {fitting_error_text(base)}.")
+    return Section("turbulence", "Turbulence", words, "modes-residual", caption)
+
+
+def _dissipation(base: ModalBase) -> Section:
+    cost = base.costs[0]
+    caption = (
+        "Mean power of the worst coil (solid) and of all coils (dotted), static force included,"
+        " against the number of modes."
+    )
+    words = (
+        f"Static force of the actuators: {static_force_text(cost)}.",
+        "truenewton modes --power W --force N prints the number of modes within a limit.",
+    )
+    head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",
+            "worst (mN)", "power mean (W)", "worst (W)", "total (W)")  # fmt: skip
+    table = TextTable(
+        "Residual wavefront after N modes of each base; force and power of N stiffness modes",
+        head, tuple(cost_rows(base)),
+    )  # fmt: skip
+    return Section("dissipation", "Dissipation", words, "modes-power", caption, (table,))

@@ -48,7 +48,7 @@ from truenewton.figures.maps import (
 from truenewton.figures.style import ACCENT, ALARM, CROWDED, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.records.parts import has_parts
 from truenewton.report.change import Change
-from truenewton.report.evidence import Evidence
+from truenewton.report.findings import Evidence
 from truenewton.report.layers import Layer, calibration_layers, segment_layers
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre

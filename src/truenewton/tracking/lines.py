@@ -1,6 +1,14 @@
-"""Scatter of alpha from day to day, beyond the noise of the readings.
+"""A line for each actuator through its days, and the scatter of the days about it.
 
-On day j, relative to the law of actuator i,
+With temperature T and time t relative to the middle of the days,
+
+    alpha_i(T, t) = a_i (1 + k_i T + r_i t)
+
+is linear in a, a k and a r. Days enter with the covariance of their readings over all actuators.
+Each error of a weight is an unknown, measured as 0 +- 1, that all days with this weight share. It
+multiplies the whole law, so k and r do not depend on it if all days share it.
+
+Alpha scatters from day to day beyond the noise of the readings. On day j,
 
     alpha_i(j) = alpha_i(T_j, t_j) (1 + c_j + e_ij),    c ~ N(0, s_c^2),    e ~ N(0, s^2):
 
@@ -31,7 +39,7 @@ where c is the common part, weighted by that matrix.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,10 +49,190 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_ppf, chi2_sf, f_sf, normal_isf, t_isf
-from truenewton.errors import NotConverged
+from truenewton.errors import FormatError, NotConverged
+from truenewton.linalg import LeastSquares, least_squares
 from truenewton.rounding import percent
-from truenewton.tracking.days import DatedCalibration
-from truenewton.tracking.linear_fit import relative_days
+from truenewton.tracking.days import (
+    DatedCalibration,
+    covariances,
+    weight_error_factor,
+    weight_groups,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """The lines of all actuators, without a population."""
+
+    alpha: Array  # (n,) a, in the middle of the days
+    effects: Array  # (q, n) k and r
+    # ((1 + q) n, u) of the covariance of a and effects: readings first, then each weight error
+    root: Array
+    chi2: float  # of all days about their lines
+    own_scatter: Array  # (n,) rms relative deviation of each actuator from its line
+    actuator_chi2: Array  # (n,) of each actuator given all others
+    actuator_degrees: int  # of freedom of each actuator: days less parameters
+
+
+def linear_fit(
+    days: Sequence[DatedCalibration],
+    on: NDArray[np.bool_],
+    settings: Array,
+    scatter: Array,
+    common: float = 0.0,
+) -> LinearFit:
+    """Fit the lines of all actuators at once.
+
+    ``on`` are the n enabled actuators, ``settings`` (J, q) temperature and time of the days
+    relative to their middle, ``scatter`` the (n,) relative standard deviation of each actuator
+    about its line beyond the readings, ``common`` that of all together.
+
+    Raises
+    ------
+    RankDeficient
+        The settings do not separate the effects.
+    """
+    alpha = np.array([day.calibration.alpha[on] for day in days])
+    count, n = alpha.shape
+    design = np.column_stack([np.ones(count), settings])
+    q = settings.shape[1]
+    # Relative to the mean, all actuators weigh alike in one matrix.
+    mean = alpha.mean(axis=0)
+    y = alpha / mean
+    of_days = np.diag(scatter**2) + common**2
+    readings = (covariance + of_days for covariance in _relative(days, on, mean))
+    roots = np.array([*map(_inverse_root, days, readings)])
+    whitened = np.einsum("jab,jk->jakb", roots, design).reshape(count * n, (1 + q) * n)
+    change = _changes_by_weights(days, on, design, y)
+    errors = change.shape[2]
+    nothing = np.zeros((errors, (1 + q) * n))
+    whitened_change = (roots @ change).reshape(count * n, errors)
+    matrix = np.block([[whitened, whitened_change], [nothing, np.eye(errors)]])
+    right = np.concatenate([np.einsum("jab,jb->ja", roots, y).ravel(), np.zeros(errors)])
+    solution = least_squares(matrix, right)
+    values = solution.values[: (1 + q) * n].reshape(1 + q, n)
+    a, effects = values[0], values[1:] / values[0]
+    root = solution.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
+    root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
+    root[0] *= mean[:, None]
+    off = contrast_directions(settings)
+    degrees = off.shape[1]
+    return LinearFit(
+        alpha=a * mean,
+        effects=effects,
+        root=root.reshape((1 + q) * n, -1),
+        chi2=solution.chi2,
+        own_scatter=np.sqrt(np.sum((off.T @ y) ** 2, axis=0) / max(degrees, 1)),
+        actuator_chi2=_share(solution, roots, off) if degrees else np.zeros(n),
+        actuator_degrees=degrees,
+    )
+
+
+def contrast_directions(settings: Array) -> Array:
+    """Return (J, f) orthonormal combinations of the days that are independent of any law."""
+    design = np.column_stack([np.ones(len(settings)), settings])
+    return np.asarray(scipy.linalg.null_space(design.T))
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeDays:
+    """The days relative to the mean alpha, with their errors."""
+
+    values: Array  # (J, n) alpha over its mean
+    readings: Array  # (J, n, n) covariance by the readings
+    changes: Array  # (J, n, m) changes by m errors of the weights, at 1 sigma
+    settings: Array  # (J, q) temperature and time
+
+    def without(self, day: int) -> RelativeDays:
+        """Return all but one of the days."""
+        others = np.arange(len(self.values)) != day
+        return RelativeDays(*(each[others] for each in vars(self).values()))
+
+    def contrasts(self) -> tuple[Array, Array]:
+        """Return (f, n) contrasts independent of any law (see `scatter`), and their covariance."""
+        off = contrast_directions(self.settings)
+        size = np.einsum("jaa->j", self.readings)
+        return self._along(off @ np.linalg.eigh((off.T * size) @ off)[1])
+
+    def contrast_of(self, day: int) -> tuple[Array, Array, float]:
+        """Return (n,) deviations of a day from the law of the others, covariance, and its share."""
+        off = contrast_directions(self.settings)
+        share = float(np.linalg.norm(off[day]))
+        contrasts, covariance = self._along(off @ off[day, :, None] / share)
+        return contrasts[0], covariance[0], share
+
+    def _along(self, directions: Array) -> tuple[Array, Array]:
+        by_weights = np.einsum("jp,jam->pam", directions, self.changes)
+        covariance = np.einsum("jp,jab->pab", directions**2, self.readings)
+        return directions.T @ self.values, covariance + by_weights @ np.swapaxes(by_weights, 1, 2)
+
+
+def relative_days(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
+) -> RelativeDays:
+    """Return the days relative to their mean alpha, of the actuators ``on``."""
+    alpha = np.array([day.calibration.alpha[on] for day in days])
+    mean = alpha.mean(axis=0)
+    design = np.column_stack([np.ones(len(alpha)), settings])
+    readings = np.array([*_relative(days, on, mean)])
+    changes = _changes_by_weights(days, on, design, alpha / mean)
+    return RelativeDays(alpha / mean, readings, changes, settings)
+
+
+def _relative(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], alpha: Array
+) -> Iterator[Array]:
+    """Yield the (n, n) statistical covariance of each day, relative to (n,) alpha."""
+    return (covariances(day.calibration, on)[0] / np.outer(alpha, alpha) for day in days)
+
+
+def _changes_by_weights(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], design: Array, y: Array
+) -> Array:
+    """Return (J, n, m) changes of the (J, n) days by m errors of the weights, at 1 sigma.
+
+    They multiply the fitted law, not the readings, which would add noise.
+    """
+    law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
+    changes = [np.zeros((*y.shape, 0))]
+    for group in weight_groups(days):
+        factor = weight_error_factor([days[k] for k in group], on)
+        changed = np.zeros((*y.shape, factor.shape[1]))
+        changed[group] = law[group] * factor
+        changes.append(changed)
+    return np.concatenate(changes, axis=2)
+
+
+def _inverse_root(day: DatedCalibration, covariance: Array) -> Array:
+    """Return W with W' W the inverse of a covariance."""
+    try:
+        lower = scipy.linalg.cholesky(covariance, lower=True)
+    except np.linalg.LinAlgError:
+        fault = "COVARIANCE less SYSTEMATIC is no covariance"
+        raise FormatError(fault, remedy="calibrate again", path=day.name) from None
+    return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
+
+
+def _share(solution: LeastSquares, roots: Array, off: Array) -> Array:
+    """Return (n,) chi2 of the days of each actuator given all others.
+
+    Columns Z that shift each day of the actuator freely would lower chi2 by s' (Z' M Z)^+ s, with
+    s = Z' residual and M the projection off the columns of the fit. ``off`` restricts the shifts to
+    those that the law of the actuator does not explain.
+    """
+    count, n = roots.shape[:2]
+    residual = solution.residual[: count * n].reshape(count, n)
+    basis = solution.orthogonal[: count * n].reshape(count, n, -1)
+    s = np.einsum("jab,ja->bj", roots, residual)
+    shared = np.swapaxes(basis, 1, 2) @ roots
+    m = -np.einsum("jpb,kpb->bjk", shared, shared)
+    day = np.arange(count)
+    m[:, day, day] += np.einsum("jab,jab->bj", roots, roots)
+    inner = np.einsum("jp,bjk,kq->bpq", off, m, off)
+    reduced = s @ off
+    solved = np.linalg.solve(inner, reduced[..., None])[..., 0]
+    return np.asarray(np.sum(reduced * solved, axis=1))
+
 
 MAX_ITERATIONS = 200
 UNCONSTRAINED = 1e8  # prior variance of a free shift, in variances of a typical contrast
@@ -52,20 +240,12 @@ UNCONSTRAINED = 1e8  # prior variance of a free shift, in variances of a typical
 
 @dataclass(frozen=True)
 class Scatter:
-    """Relative scatter from day to day.
+    """Relative scatter from day to day."""
 
-    Attributes
-    ----------
-    own, own_variance_error
-        s, of each actuator independently; standard uncertainty of s^2.
-    common, degrees
-        s_c, common to all, and its degrees of freedom; 0 if it cannot be estimated.
-    """
-
-    own: float = 0.0
-    own_variance_error: float = 0.0
-    common: float = 0.0
-    degrees: int = 0
+    own: float = 0.0  # s, of each actuator independently
+    own_variance_error: float = 0.0  # standard uncertainty of s^2
+    common: float = 0.0  # s_c, common to all
+    degrees: int = 0  # of freedom of s_c; 0 if scatter cannot be estimated
 
     @property
     def common_expanded(self) -> float:
