@@ -2,46 +2,26 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from truenewton.calibration.result import CALIBRATIONS, AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.cluster import Client, each
-from truenewton.errors import (
-    Fault,
-    FormatError,
-    TrueNewtonError,
-    UnreadableFile,
-    naming,
-)
-from truenewton.files.content import FitsFile, Table
-from truenewton.files.hdf5 import STREAM
-from truenewton.files.stored_rows import StoredRows
+from truenewton.cluster import Client
+from truenewton.errors import FormatError, naming
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
-from truenewton.records.file import (
-    cycle_from,
-    fits_paths,
-    holds_cycle,
-    read_file,
-    stiffness_from,
-)
+from truenewton.records.file import read_file
 from truenewton.records.parts import InParts, Parts, body_or_parts_from, has_parts
-from truenewton.records.segmented import SegmentedData, in_segments
+from truenewton.records.reader import AnyPath, Measured, flat, measured_in, open_files
+from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
-AnyPath = str | os.PathLike[str]
-IN_MEMORY = 2**28  # bytes; FORCE and POSITION of files that are larger in total stay on disk
 Body = Campaign | StiffnessMatrix | Calibration  # of a mirror in one piece
-Read = Body | SegmentedData | Parts[Calibration]
+Read = Measured | AnyCalibration
 Part = TypeVar("Part")
 Kind = TypeVar("Kind", bound=Body)
 KINDS: dict[type, tuple[str, str]] = {  # what files contain, and the function that reads them
@@ -51,76 +31,6 @@ KINDS: dict[type, tuple[str, str]] = {  # what files contain, and the function t
     SegmentedData: ("data of several segments", "read"),
     Parts: ("a calibration of several segments", "read"),
 }
-FOREIGN = {  # extensions of files that cannot be calibrated: what the file is, and what to do
-    "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
-    "MODES": Fault(
-        "is a modal base", "give what it was made from, or the .commanded.fits beside it"
-    ),
-    "TRACKING": Fault(
-        "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
-    ),
-    "CALIBRATION": Fault(
-        "is a calibration file among others", "give it alone, or two calibrations to `report`"
-    ),
-}
-
-
-class Opened(NamedTuple):
-    """A file that was read, and its cycle or what is wrong with that; None for other files.
-
-    The fault is raised after all files are opened, since a file of another kind is reported first.
-    """
-
-    file: FitsFile
-    cycle: Cycle | TrueNewtonError | None
-
-    def require_cycle(self) -> Cycle:
-        """Return the cycle."""
-        if isinstance(self.cycle, TrueNewtonError):
-            raise self.cycle
-        return cycle_from(self.file) if self.cycle is None else self.cycle
-
-
-def open_file(path: AnyPath, *, whole: bool) -> Opened:
-    """Open a file; if not whole, vector columns stay on disk."""
-    return _opened(read_file(path, whole=whole), whole=True)
-
-
-def open_by_worker(names: tuple[str, str]) -> Opened:
-    """Open a file by its absolute path, and name it by the second one in messages."""
-    path, name = names
-    try:
-        return _opened(replace(read_file(path, whole=False), path=name), whole=False)
-    except TrueNewtonError as error:
-        raise error.changed(path=name) from None
-
-
-def _opened(file: FitsFile, *, whole: bool) -> Opened:
-    """Return a file with its cycle; if not whole, means of samples stay in the file."""
-    if not holds_cycle(file):
-        return Opened(file, None)
-    # Columns of samples are as long as the stream; the cycle contains what is needed of them.
-    light = {n: Table(0, {}) if n == STREAM else part for n, part in file.extensions.items()}
-    kept = replace(file, extensions=light)
-    try:
-        cycle = cycle_from(file, whole=whole)
-        if not whole:
-            _require_stored(cycle)
-            cycle.stroke  # noqa: B018  # reads POSITION here, not where all files are needed
-    except UnreadableFile:
-        raise
-    except TrueNewtonError as error:
-        return Opened(kept, error.changed(path=file.path))
-    return Opened(kept, cycle)
-
-
-def _require_stored(cycle: Cycle) -> None:
-    if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
-        raise FormatError(
-            "is gzipped, or FORCE or POSITION has TSCAL or TDIM: workers cannot read parts of it",
-            remedy="write it anew with write_cycle, or calibrate without a cluster",
-            path=cycle.name,
-        )
 
 
 def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> Read:
@@ -154,48 +64,12 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     >>> tn.read("day")
     <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
     """
-    every = fits_paths(_flat(paths))
-    if client is None:
-        whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
-        opened = list(each(partial(open_file, whole=whole), every))
-    else:
-        names = [(str(path.absolute()), str(path)) for path in every]
-        opened = list(each(open_by_worker, names, client))
-    files = [one.file for one in opened]
-    if len(files) == 1:
-        if "CALIBRATION" in files[0].extensions:
-            calibration = body_or_parts_from(files[0], CALIBRATIONS)
-            warn_of(calibration)
-            return calibration
-        if "STIFFNESS" in files[0].extensions:
-            matrix = stiffness_from(files[0])
-            return SegmentedData(stiffness=matrix) if matrix.layout.segments else matrix
-    matrices = [file for file in files if "STIFFNESS" in file.extensions]
-    _refuse_foreign(files, matrices)
-    cycles = tuple(one.require_cycle() for one in opened if one.file not in matrices)
-    beside = stiffness_from(matrices[0]) if matrices else None
-    return SegmentedData(cycles, beside) if in_segments(cycles) else Campaign(cycles, beside)
-
-
-def _flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:
-    """Return paths and lists of paths as one list."""
-    return [
-        one for path in paths for one in ([path] if isinstance(path, str | os.PathLike) else path)
-    ]
-
-
-def _refuse_foreign(files: list[FitsFile], matrices: list[FitsFile]) -> None:
-    """Raise FormatError for a file that does not belong to a campaign."""
-    for file in files:
-        faults = [fault for name, fault in FOREIGN.items() if name in file.extensions]
-        if file.header.get("CTYPE2") == "ACTUATOR":
-            faults += [
-                Fault("is a plain matrix of a modal base", "give the .commanded.fits beside it")
-            ]
-        if file in matrices[1:]:
-            faults += [Fault("is a second stiffness file among others", "give it alone")]
-        for fault, remedy in faults:
-            raise FormatError(fault, remedy=remedy, path=file.path)
+    opened = open_files(paths, client)
+    if len(opened) == 1 and "CALIBRATION" in opened[0].file.extensions:
+        calibration = body_or_parts_from(opened[0].file, CALIBRATIONS)
+        warn_of(calibration)
+        return calibration
+    return measured_in(opened)
 
 
 def holds_alpha(data: object) -> TypeIs[AnyCalibration]:
@@ -258,7 +132,7 @@ def read_chosen(*paths: AnyPath, segment: int | None = None, client: Client | No
 
 def read_data(
     *paths: AnyPath, segment: int | None = None, client: Client | None = None
-) -> Campaign | StiffnessMatrix | SegmentedData:
+) -> Measured:
     """Read as `read_chosen`, and refuse a calibration."""
     data = read_chosen(*paths, segment=segment, client=client)
     if holds_alpha(data):
@@ -298,7 +172,7 @@ def read_campaign(*paths: AnyPath | Iterable[AnyPath], client: Client | None = N
     <Campaign of P45: 45 actuators, 2 cycles under bare, ring>
     """
     data = read(*paths, client=client)
-    return _required(data, Campaign, "give cycle files or their folder", _flat(paths)[0])
+    return _required(data, Campaign, "give cycle files or their folder", flat(paths)[0])
 
 
 def read_stiffness(path: AnyPath) -> StiffnessMatrix:

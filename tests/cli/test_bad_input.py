@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from truenewton import reading
+from truenewton.records import reader
 from truenewton.records.file import write_campaign, write_cycle, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -229,7 +229,7 @@ def assert_told(words, line):
 def test_a_cycle_file_with_a_fault_is_refused_by_name(
     folder, refused, monkeypatch, in_memory, fault, words
 ):
-    monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
+    monkeypatch.setattr(reader, "IN_MEMORY", in_memory)
     edit(folder / "ring-001.fits", fault)
     line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
     assert f"{folder}/ring-001.fits: " in line
@@ -279,7 +279,7 @@ def test_a_truncated_file_is_refused_at_every_length(folder, refused, suffix):
 def test_a_changed_byte_anywhere_breaks_the_checksum(
     folder, refused, monkeypatch, in_memory, place
 ):
-    monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
+    monkeypatch.setattr(reader, "IN_MEMORY", in_memory)
     path = folder / "ring-001.fits"
     raw = bytearray(path.read_bytes())
     with fits.open(path) as hdus:

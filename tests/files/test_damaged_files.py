@@ -17,10 +17,10 @@ from astropy.io import fits
 
 from fuzz.files import bytes_of
 from fuzz.fits import fits_cards
-from truenewton import reading
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonError
 from truenewton.reading import read_data
+from truenewton.records import reader
 from truenewton.records.file import write_cycle
 
 # --- sound files ----------------------------------------------------------------------------------
@@ -110,7 +110,7 @@ def judge(changed, other, other_equations):
 def test_a_mutated_file_is_refused_or_gives_the_right_result(
     sound, tmp_path, monkeypatch, examples, in_memory
 ):
-    monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
+    monkeypatch.setattr(reader, "IN_MEMORY", in_memory)
     paths, judgements = (tmp_path / "bare.fits", tmp_path / "ring.fits"), Counter()
     for path, raw in zip(paths, sound, strict=True):
         path.write_bytes(raw)

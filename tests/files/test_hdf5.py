@@ -13,13 +13,13 @@ import truenewton as tn
 from helpers.balanced import campaign_of
 from helpers.comparison import same
 from helpers.raw_samples import stream
-from truenewton import reading
 from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, UnreadableFile
 from truenewton.files import stored_rows
 from truenewton.files.hdf5 import Hdf5Rows
 from truenewton.files.stored_rows import columns_of
-from truenewton.reading import open_by_worker
+from truenewton.records import reader
 from truenewton.records.file import write_campaign
+from truenewton.records.reader import open_by_worker
 from truenewton.records.samples import AveragedRows
 
 h5py = pytest.importorskip("h5py", reason="h5py, extra `hdf5`, is missing")
@@ -69,7 +69,7 @@ def test_a_campaign_is_calibrated_as_from_fits(cycles, folder, tmp_path, monkeyp
     write_campaign(cycles, tmp_path / "fits")
     one = tn.calibrate(tn.read(tmp_path / "fits"), "svd")
     for in_memory, kind in ((2**28, np.ndarray), (-1, Hdf5Rows)):
-        monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
+        monkeypatch.setattr(reader, "IN_MEMORY", in_memory)
         monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 800)
         campaign = tn.read(folder)  # its .h5 files; the folder in it is none
         assert isinstance(campaign.cycles[0].force, kind)
@@ -80,7 +80,7 @@ def test_a_campaign_is_calibrated_as_from_fits(cycles, folder, tmp_path, monkeyp
 
 
 def test_rows_are_those_of_the_array(cycles, folder, monkeypatch):
-    monkeypatch.setattr(reading, "IN_MEMORY", -1)
+    monkeypatch.setattr(reader, "IN_MEMORY", -1)
     with h5py.File(folder / "c0.h5", "r+") as file:  # packed, in single precision, in mN
         force = file["MEASUREMENTS/FORCE"][()]
         del file["MEASUREMENTS/FORCE"]
@@ -153,14 +153,14 @@ def test_a_spoilt_file_is_refused_in_one_line(folder, spoilt, kind, line):
 
 
 def test_damage_is_found_where_rows_stay_in_the_file(folder, monkeypatch):
-    monkeypatch.setattr(reading, "IN_MEMORY", -1)
+    monkeypatch.setattr(reader, "IN_MEMORY", -1)
     spoil(folder / "c1.h5")
     with pytest.raises(UnreadableFile, match=r"c1.h5: /MEASUREMENTS/FORCE is damaged; fetch"):
         tn.read(folder)
 
 
 def test_a_file_that_changes_while_in_use_is_refused(folder, monkeypatch):
-    monkeypatch.setattr(reading, "IN_MEMORY", -1)
+    monkeypatch.setattr(reader, "IN_MEMORY", -1)
     campaign = tn.read(folder)
     os.utime(folder / "c1.h5", ns=(1, 1))
     with pytest.raises(UnreadableFile, match=r"c1.h5: was changed while it was in use; "):

@@ -14,7 +14,6 @@ from astropy.io import fits
 
 from helpers.balanced import arms_of, campaign_of
 from helpers.comparison import same
-from truenewton import reading
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import UnreadableFile
 from truenewton.estimation.paper.equations import system_c
@@ -25,6 +24,7 @@ from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows
 from truenewton.files.stored_rows import StoredRows
 from truenewton.reading import read, read_data
+from truenewton.records import reader
 from truenewton.records.file import write_campaign, write_cycle
 from truenewton.statics.layout import rings
 
@@ -32,7 +32,7 @@ from truenewton.statics.layout import rings
 @pytest.fixture
 def left_on_disk(monkeypatch):
     """Leave rows of every file on disk, and take few of them at once."""
-    monkeypatch.setattr(reading, "IN_MEMORY", -1)
+    monkeypatch.setattr(reader, "IN_MEMORY", -1)
     for module in (stored_rows, repeats):
         monkeypatch.setattr(module, "BLOCK_BYTES", 800)
 
@@ -78,7 +78,7 @@ def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
     monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 800)
     monkeypatch.setattr(repeats, "BLOCK_BYTES", 800)
     one = calibrate(read_data(folder), method)
-    monkeypatch.setattr(reading, "IN_MEMORY", -1)
+    monkeypatch.setattr(reader, "IN_MEMORY", -1)
     campaign = read_data(folder)
     assert all(isinstance(c.force, StoredRows) for c in campaign.cycles)
     assert all(isinstance(c.position, StoredRows) for c in campaign.cycles)

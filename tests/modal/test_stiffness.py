@@ -12,7 +12,6 @@ import scipy.linalg
 
 from helpers.balanced import p45_bench, ungraded
 from studies.simulated_matrices import by_glass, drawn
-from truenewton import reading
 from truenewton.bench.simulated.static import loop_of, rows_of_cycle, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
@@ -30,6 +29,7 @@ from truenewton.modal.findings import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.reading import read
+from truenewton.records import reader
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -237,7 +237,7 @@ def test_rows_that_stand_off_from_their_repeats_are_left_out():
 def test_rows_may_stay_on_disk(tmp_path, monkeypatch):
     _, campaign, _ = spoilt()
     write_campaign(campaign.cycles, tmp_path / "campaign")
-    monkeypatch.setattr(reading, "IN_MEMORY", -1)
+    monkeypatch.setattr(reader, "IN_MEMORY", -1)
     for module in (stored_rows, repeats):
         monkeypatch.setattr(module, "BLOCK_BYTES", 16000)
     stored = read(tmp_path / "campaign")

@@ -12,10 +12,11 @@ from astropy.io import fits
 
 from helpers.balanced import campaign_of
 from helpers.comparison import same
-from truenewton import reading
+from helpers.segmented import in_one, pieces
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import FormatError
 from truenewton.reading import read
+from truenewton.records import reader
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign, write_cycle, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -364,7 +365,7 @@ def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(
     )
     hdus[1].header["TSCAL1"], hdus[1].header["TZERO1"] = 0.05, 100.0
     hdus.writeto(tmp_path / "c.fits")
-    monkeypatch.setattr(reading, "IN_MEMORY", -1)  # scaled columns are read all the same
+    monkeypatch.setattr(reader, "IN_MEMORY", -1)  # scaled columns are read all the same
     [back] = read(tmp_path / "c.fits").cycles
     assert isinstance(back.force, np.ndarray)
     with fits.open(tmp_path / "c.fits") as hdus:
@@ -416,4 +417,20 @@ def test_a_worker_refuses_a_gzipped_file_of_which_it_cannot_read_parts(p45_folde
     packed = tmp_path / "bare-001.fits.gz"
     packed.write_bytes(gzip.compress((p45_folder / "bare-001.fits").read_bytes()))
     with pytest.raises(FormatError, match=r"^there\.fits\.gz: is gzipped"):
-        reading.open_by_worker((str(packed), "there.fits.gz")).require_cycle()
+        reader.open_by_worker((str(packed), "there.fits.gz")).require_cycle()
+
+
+def test_a_path_paths_and_cycles_are_calibrated_as_the_campaign(p45_folder, tmp_path):
+    campaign = read(p45_folder)
+    alpha = calibrate(campaign, "svd").alpha
+    for data in (p45_folder, str(p45_folder), sorted(p45_folder.iterdir()), list(campaign)):
+        assert np.array_equal(calibrate(data, "svd").alpha, alpha)
+    segments = in_one(pieces(2)[0])
+    write_campaign(segments, tmp_path / "two")
+    for data in (tmp_path / "two", [tmp_path / "two"], segments):
+        assert list(calibrate(data, "svd").found) == [1, 2]
+    calibrate(campaign, "svd").write(tmp_path / "alpha.fits")
+    with pytest.raises(FormatError, match=r"alpha.fits: is a calibration file .* to `report`"):
+        calibrate(tmp_path / "alpha.fits")
+    with pytest.raises(TypeError, match="cannot calibrate a ndarray; give a path, paths, cycles,"):
+        calibrate(alpha)

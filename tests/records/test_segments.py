@@ -12,9 +12,9 @@ from helpers.segmented import in_one, pieces
 from truenewton.errors import CampaignMismatch, FormatError, GeometryError
 from truenewton.files.fits import read_fits
 from truenewton.files.hdf5 import Hdf5Rows
-from truenewton.reading import open_by_worker
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import cycle_from, write_campaign, write_cycle
+from truenewton.records.reader import open_by_worker
 from truenewton.statics.layout import layout
 
 

@@ -51,14 +51,15 @@ from truenewton.files.format import attributes
 from truenewton.linalg import threads
 from truenewton.progress import kept_as, tell
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.cycle import Source
+from truenewton.records.cycle import Cycle, Source
 from truenewton.records.parts import Parts, has_parts
+from truenewton.records.reader import AnyPath, Measured, measured_from
 from truenewton.records.segmented import SegmentedData, segment_couplings
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named, percent
 from truenewton.statics.layout import Layout
 
-Data = Campaign | StiffnessMatrix | SegmentedData
+Data = Measured
 Seen = Array | Mapping[int, Array]  # by sensors: by those of all segments, or of each by its number
 
 
@@ -190,8 +191,14 @@ def calibrate(
     motion: Seen | None = None, exclude: Collection[int] = (), client: Client | None = None,
     processes: int | None = None,
 ) -> Parts[Calibration]: ...  # fmt: skip
+@overload
 def calibrate(
-    data: Data,
+    data: Data | AnyPath | Iterable[AnyPath | Cycle], method: str | None = None, *,
+    population: bool = False, motion: Seen | None = None, exclude: Collection[int] = (),
+    client: Client | None = None, processes: int | None = None,
+) -> AnyCalibration: ...  # fmt: skip
+def calibrate(
+    data: Data | AnyPath | Iterable[AnyPath | Cycle],
     method: str | None = None,
     *,
     population: bool = False,
@@ -205,8 +212,8 @@ def calibrate(
     Parameters
     ----------
     data
-        A campaign under two loads at least, or a measured stiffness matrix (relative alpha); of a
-        mirror in several segments each is calibrated by itself.
+        A campaign under two loads at least, or a measured stiffness matrix (relative alpha), or a
+        path, paths or cycles. Segments of a mirror are calibrated separately.
     method
         'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which makes use of what the
         sensors read; 'auto', reciprocity where it holds, else 'ml', which the verdict notes. Unless
@@ -246,11 +253,7 @@ def calibrate(
     >>> tn.calibrate(campaign)
     <Calibration of P45: 45 actuators, alpha 0.715 .. 1.1, typical error 0.016, ...>
     """
-    if not isinstance(data, Data):
-        raise TypeError(
-            f"cannot calibrate a {type(data).__name__}; give a Campaign, StiffnessMatrix or"
-            " SegmentedData"
-        )
+    data = measured_from(data, client)
     method, options = resolve_method(data, method, population=population, motion=motion)
     ids = sorted(set(exclude))
     require_known(data.layout, ids)

@@ -9,4 +9,5 @@ parts             the results of the segments of a mirror
 tables            cycles from arrays and long tables
 samples           raw samples, averaged to rows
 file              cycle and stiffness files
+reader            data at paths: campaigns and stiffness matrices, here or by a cluster
 """

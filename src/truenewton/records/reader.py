@@ -1,0 +1,173 @@
+"""Reading measured data: the files at some paths become a campaign or a stiffness matrix."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+from truenewton.cluster import Client, each
+from truenewton.errors import Fault, FormatError, TrueNewtonError, UnreadableFile
+from truenewton.files.content import FitsFile, Table
+from truenewton.files.hdf5 import STREAM
+from truenewton.files.stored_rows import StoredRows
+from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
+from truenewton.records.file import cycle_from, fits_paths, holds_cycle, read_file, stiffness_from
+from truenewton.records.segmented import SegmentedData, in_segments
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+
+AnyPath = str | os.PathLike[str]
+Measured = Campaign | StiffnessMatrix | SegmentedData
+IN_MEMORY = 2**28  # bytes; FORCE and POSITION of files that are larger in total stay on disk
+FOREIGN = {  # extensions of files that cannot be calibrated: what the file is, and what to do
+    "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
+    "MODES": Fault(
+        "is a modal base", "give what it was made from, or the .commanded.fits beside it"
+    ),
+    "TRACKING": Fault(
+        "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
+    ),
+    "CALIBRATION": Fault(
+        "is a calibration file among others", "give it alone, or two calibrations to `report`"
+    ),
+}
+
+
+class Opened(NamedTuple):
+    """A file that was read, and its cycle or what is wrong with that; None for other files.
+
+    The fault is raised after all files are opened, since a file of another kind is reported first.
+    """
+
+    file: FitsFile
+    cycle: Cycle | TrueNewtonError | None
+
+    def require_cycle(self) -> Cycle:
+        """Return the cycle."""
+        if isinstance(self.cycle, TrueNewtonError):
+            raise self.cycle
+        return cycle_from(self.file) if self.cycle is None else self.cycle
+
+
+def open_file(path: AnyPath, *, whole: bool) -> Opened:
+    """Open a file; if not whole, vector columns stay on disk."""
+    return _opened(read_file(path, whole=whole), whole=True)
+
+
+def open_by_worker(names: tuple[str, str]) -> Opened:
+    """Open a file by its absolute path, and name it by the second one in messages."""
+    path, name = names
+    try:
+        return _opened(replace(read_file(path, whole=False), path=name), whole=False)
+    except TrueNewtonError as error:
+        raise error.changed(path=name) from None
+
+
+def _opened(file: FitsFile, *, whole: bool) -> Opened:
+    """Return a file with its cycle; if not whole, means of samples stay in the file."""
+    if not holds_cycle(file):
+        return Opened(file, None)
+    # Columns of samples are as long as the stream; the cycle contains what is needed of them.
+    light = {n: Table(0, {}) if n == STREAM else part for n, part in file.extensions.items()}
+    kept = replace(file, extensions=light)
+    try:
+        cycle = cycle_from(file, whole=whole)
+        if not whole:
+            _require_stored(cycle)
+            cycle.stroke  # noqa: B018  # reads POSITION here, not where all files are needed
+    except UnreadableFile:
+        raise
+    except TrueNewtonError as error:
+        return Opened(kept, error.changed(path=file.path))
+    return Opened(kept, cycle)
+
+
+def _require_stored(cycle: Cycle) -> None:
+    if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
+        raise FormatError(
+            "is gzipped, or FORCE or POSITION has TSCAL or TDIM: workers cannot read parts of it",
+            remedy="write it anew with write_cycle, or calibrate without a cluster",
+            path=cycle.name,
+        )
+
+
+def open_files(
+    paths: Iterable[AnyPath | Iterable[AnyPath]], client: Client | None = None
+) -> list[Opened]:
+    """Open the files of paths and folders, here or by the workers of a cluster."""
+    every = fits_paths(flat(paths))
+    if client is None:
+        whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
+        return list(each(partial(open_file, whole=whole), every))
+    names = [(str(path.absolute()), str(path)) for path in every]
+    return list(each(open_by_worker, names, client))
+
+
+def measured_in(opened: Sequence[Opened]) -> Measured:
+    """Return the data in files: cycles, a stiffness matrix, or both."""
+    matrices = [one.file for one in opened if "STIFFNESS" in one.file.extensions]
+    if len(opened) > 1 or not matrices:
+        _refuse_foreign([one.file for one in opened], matrices)
+    cycles = tuple(one.require_cycle() for one in opened if one.file not in matrices)
+    return _measured(cycles, tuple(map(stiffness_from, matrices)))
+
+
+def measured_from(given: Any, client: Client | None = None) -> Measured:
+    """Return data as they are, those at a path or paths, or those of cycles.
+
+    Raises
+    ------
+    TypeError
+        It is something else.
+    """
+    if isinstance(given, Measured):
+        return given
+    items = [given] if isinstance(given, str | os.PathLike) or not _several(given) else [*given]
+    if items and all(isinstance(one, str | os.PathLike) for one in items):
+        return measured_in(open_files(items, client))
+    cycles = tuple(one for one in items if isinstance(one, Cycle))
+    matrices = tuple(one for one in items if isinstance(one, StiffnessMatrix))
+    if items and len(cycles) + len(matrices) == len(items):
+        return _measured(cycles, matrices)
+    wrong = next((one for one in items if not isinstance(one, Cycle | str | os.PathLike)), given)
+    raise TypeError(
+        f"cannot calibrate a {type(wrong).__name__}; give a path, paths, cycles, a Campaign,"
+        " StiffnessMatrix or SegmentedData"
+    )
+
+
+def _several(given: Any) -> bool:
+    return isinstance(given, Iterable) and not hasattr(given, "dtype")
+
+
+def _measured(cycles: tuple[Cycle, ...], matrices: tuple[StiffnessMatrix, ...]) -> Measured:
+    """Return cycles, a matrix or both as data of one mirror."""
+    if matrices and not cycles:
+        whole = matrices[0].layout.segments
+        return SegmentedData(stiffness=matrices[0]) if whole else matrices[0]
+    beside = matrices[0] if matrices else None
+    return SegmentedData(cycles, beside) if in_segments(cycles) else Campaign(cycles, beside)
+
+
+def flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:
+    """Return paths and lists of paths as one list."""
+    return [
+        one for path in paths for one in ([path] if isinstance(path, str | os.PathLike) else path)
+    ]
+
+
+def _refuse_foreign(files: list[FitsFile], matrices: list[FitsFile]) -> None:
+    """Raise FormatError for a file that does not belong to a campaign."""
+    for file in files:
+        faults = [fault for name, fault in FOREIGN.items() if name in file.extensions]
+        if file.header.get("CTYPE2") == "ACTUATOR":
+            faults += [
+                Fault("is a plain matrix of a modal base", "give the .commanded.fits beside it")
+            ]
+        if file in matrices[1:]:
+            faults += [Fault("is a second stiffness file among others", "give it alone")]
+        for fault, remedy in faults:
+            raise FormatError(fault, remedy=remedy, path=file.path)
