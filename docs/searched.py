@@ -1,6 +1,8 @@
-"""Whether the site's search finds every command, keyword, column, error and public name.
+"""Whether the search of the site finds every command, keyword, column, error and public name.
 
-python docs/searched.py [docs/_build]    exit code 1, with their names, where it does not
+And whether every local link and image of the site exists.
+
+python docs/searched.py [docs/_build]    exit code 1, with the names of what is missing
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import re
 import sys
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from site_pages import Search
 from typer.main import get_command
@@ -19,6 +22,7 @@ import truenewton as tn
 from truenewton.cli.main import app
 
 DOCS = Path(__file__).parent
+LINK = re.compile(r'(?:href|src)="([^"]+)"')
 WORD = re.compile(r"\w+")  # as Sphinx's searchtools.js parts a query
 
 
@@ -59,6 +63,19 @@ def pages_of(word: str, index: dict[str, Any], language: Search) -> set[str]:
     return {index["docnames"][k] for k in found}
 
 
+def broken_links(built: Path) -> list[str]:
+    """Return the local links and images of the built pages that do not exist."""
+    lost = []
+    for page in built.rglob("[!_]*.html"):
+        if "_static" in page.parts:
+            continue  # templates of the theme
+        for target in set(LINK.findall(page.read_text(encoding="utf-8"))):
+            path = unquote(target.partition("#")[0].partition("?")[0])
+            if path and not re.match(r"\w+:", path) and not (page.parent / path).exists():
+                lost.append(f"{page.relative_to(built)}: {target} does not exist")
+    return lost
+
+
 def main() -> int:
     """Look everything up in the index that was built; print what is not found."""
     built = Path(sys.argv[1]) if len(sys.argv) > 1 else DOCS / "_build"
@@ -71,6 +88,7 @@ def main() -> int:
         for name in names
         if not all(page in pages_of(word, index, language) for word in WORD.findall(name))
     ]
+    lost += broken_links(built)
     if lost or min(map(len, everything.values())) < 10:
         print("\n".join(lost) or "too little was looked for")
         return 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from truenewton.cli.main import app
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "truenewton"
+IMAGE = re.compile(r'<img src="docs/(\S+)" width="(\d+)"\s+alt="([^"]*)">')
 
 
 class CommandLine(SphinxDirective):
@@ -72,7 +74,13 @@ def pages_of_the_root(_: Sphinx, page: str, source: list[str]) -> None:
     if page in ("contributing", "changelog"):
         text = (ROOT / f"{page.upper()}.md").read_text(encoding="utf-8")
         text = text.replace("](docs/", "](").replace("](src/", "](../src/")
-        source[0] = text.replace('src="docs/', 'src="')
+        source[0] = IMAGE.sub(_directive, text)
+
+
+def _directive(image: re.Match[str]) -> str:
+    """Return a raw image of a page as a directive, so that the site has the file."""
+    path, width, alt = image.groups()
+    return f"```{{image}} {path}\n:width: {width}px\n:alt: {' '.join(alt.split())}\n```"
 
 
 def source_page(module: Path) -> str:
