@@ -239,52 +239,54 @@ class Thresholds:
     """Beyond which a result has a grade; `rows` tells what each is compared with."""
 
     fit_probability: float = _at(
-        1e-3, Level.DOUBTFUL, "probability of a misfit as large by chance: less"
+        1e-3, Level.DOUBTFUL, "probability of a misfit as large by chance, below"
     )
-    rejected_fraction: float = _at(0.1, Level.DOUBTFUL, "rows that do not fit: a larger share")
+    rejected_fraction: float = _at(0.1, Level.DOUBTFUL, "fraction of rows that do not fit, above")
     # E_STAT grows with the root of chi2/DOF, as if what is left were noise. A hundred times the
     # noise is none: with a mN of noise, 0.1 N per reading.
-    reduced_chi2: float = _at(1e4, Level.REJECTED, "chi2/DOF: more")
-    relative_error: float = _at(1 / 3, Level.REJECTED, "typical E_STAT in terms of alpha: more")
+    reduced_chi2: float = _at(1e4, Level.REJECTED, "chi2/DOF, above")
+    relative_error: float = _at(1 / 3, Level.REJECTED, "typical E_STAT / alpha, above")
     bad_fraction: float = _at(
-        0.03, Level.REJECTED, "actuators that are silent or negative: a larger share, and over two"
+        0.03, Level.REJECTED, "fraction of dead or negative actuators (more than two), above"
     )
-    lowest_alpha: float = _at(0.5, Level.REJECTED, "median alpha under known weights: less")
-    highest_alpha: float = _at(2.0, Level.REJECTED, "median alpha under known weights: more")
+    lowest_alpha: float = _at(0.5, Level.REJECTED, "median alpha under known weights, below")
+    highest_alpha: float = _at(2.0, Level.REJECTED, "median alpha under known weights, above")
     load_gain: float = _at(
-        2.0, Level.DOUBTFUL, "half of a gain that differs between loads in terms of E_ALPHA: more"
+        2.0, Level.DOUBTFUL, "half of a gain that differs between loads / E_ALPHA, above"
     )
-    svd_bias: float = _at(1.0, Level.DOUBTFUL, "bias of svd in terms of its E_STAT: more")
+    svd_bias: float = _at(1.0, Level.DOUBTFUL, "bias of svd / its E_STAT, above")
     held_out_ratio: float = _at(
-        2.5, Level.DOUBTFUL, "imbalance of held-out modes in terms of fitted ones: more"
+        2.5, Level.DOUBTFUL, "imbalance of held-out modes / fitted modes, above"
     )
     misfit_fraction: float = _at(
-        0.1, Level.DOUBTFUL, "actuators of a matrix that do not fit: a larger share, over three"
+        0.1,
+        Level.DOUBTFUL,
+        "fraction of actuators of a matrix that do not fit (more than three), above",
     )
     asymmetry_ratio: float = _at(
-        0.95, Level.DOUBTFUL, "asymmetry with alpha in terms of that without, beyond 0.5 %: more"
+        0.95, Level.DOUBTFUL, "asymmetry with alpha / without (if over 0.5 %), above"
     )
     negative_edges: float = _at(
-        1.5, Level.DOUBTFUL, "negative elastic mode in terms of the largest that noise makes: more"
+        1.5, Level.DOUBTFUL, "negative elastic mode / largest that noise makes, above"
     )
     pattern_share: float = _at(
-        0.4, Level.DOUBTFUL, "imbalance of columns that has the pattern of one mistake: more, and"
+        0.4, Level.DOUBTFUL, "share of one mistake in the column imbalance, above (with next row)"
     )
-    pattern_shift: float = _at(0.9, Level.DOUBTFUL, "alpha moves by it in terms of its error: more")
+    pattern_shift: float = _at(
+        0.9, Level.DOUBTFUL, "change of alpha by this mistake / error of alpha, above"
+    )
     gain_correlation: float = _at(
-        0.3, Level.DOUBTFUL, "correlation of sensor gains with alpha: more, and"
+        0.3, Level.DOUBTFUL, "correlation of sensor gains with alpha, above (with next row)"
     )
-    gain_sigmas: float = _at(3.5, Level.DOUBTFUL, "the same in sigma: more")
+    gain_sigmas: float = _at(3.5, Level.DOUBTFUL, "this correlation in sigma, above")
     gradient_sigmas: float = _at(
-        7.0, Level.DOUBTFUL, "gradient of the sensor gains across the mirror in sigma: more"
+        7.0, Level.DOUBTFUL, "gradient of the sensor gains across the mirror in sigma, above"
     )
-    column_noise: float = _at(
-        60.0, Level.USABLE, "imbalance of a column, squared, in terms of the median: more"
-    )
+    column_noise: float = _at(60.0, Level.USABLE, "squared imbalance of a column / median, above")
     outlier_spreads: float = _at(
-        5.0, Level.USABLE, "alpha of an actuator from the others in robust sigma: more"
+        5.0, Level.USABLE, "deviation of alpha from the others in robust sigma, above"
     )
-    scale_share: float = _at(2.0, Level.USABLE, "E_SYST in terms of E_STAT: more")
+    scale_share: float = _at(2.0, Level.USABLE, "E_SYST / E_STAT, above")
 
 
 LIMITS = Thresholds()
