@@ -33,8 +33,7 @@ def run(
     from truenewton.records.file import write_campaign
     from truenewton.report.findings import investigate
     from truenewton.report.page.page import write_report
-    from truenewton.studies.scoring import score
-    from truenewton.studies.summary import truth_lines
+    from truenewton.studies.scoring import score, truth_lines
 
     def say(*lines: object) -> None:
         if not quiet:

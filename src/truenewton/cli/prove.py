@@ -25,8 +25,7 @@ def run(
     from truenewton.mirrors.file import mirror_from
     from truenewton.mirrors.known import p45
     from truenewton.records.file import SUFFIXES, read_layout
-    from truenewton.studies.proof import prove
-    from truenewton.studies.summary import proof_rows, proof_values, proof_verdict
+    from truenewton.studies.proof import proof_rows, proof_values, proof_verdict, prove
 
     if mirror.endswith(SUFFIXES) and Path(mirror).exists():  # P45's numbers on another layout
         known = dataclasses.replace(p45(), name=Path(mirror).name, layout=read_layout(mirror))

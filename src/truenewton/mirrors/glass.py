@@ -48,7 +48,6 @@ class Annulus:
             raise GeometryError(
                 f"a sensor from {self.inner_radius:.6g} m to {self.outer_radius:.6g} m",
                 remedy="give its inner radius, then its outer one",
-                got=(self.inner_radius, self.outer_radius),
             )
 
 
@@ -202,13 +201,11 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
             f"the glass reaches from {a:.6g} m to {b:.6g} m",
             remedy="give an inner radius below the outer one; 0 makes a full disc, a hole has a"
             " thousandth at least",
-            got=(a, b),
         )
     if not max(MIN_THICKNESS, MIN_THICKNESS_RATIO * b) <= shell.thickness <= b:
         raise GeometryError(
             f"thickness is {shell.thickness:.6g} m, of a glass that reaches to {b:.6g} m",
             remedy="give metres: 1.6 mm are 1.6e-3",
-            got=shell.thickness,
         )
     nu = shell.poisson_ratio
     if not (0 < shell.bending_stiffness < np.inf and -1 < nu < 0.5):
@@ -221,7 +218,6 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
             f"radius of curvature {curvature:.6g} m cannot carry a shell of {b:.6g} m",
             remedy="it is taken as shallow: give several outer radii, with sign; leave it out for a"
             " plate",
-            got=curvature,
         )
 
 

@@ -259,7 +259,6 @@ def ring(actuators: int) -> Mirror:
         raise UnknownName(
             f"there is no mirror of {actuators} rings of actuators",
             remedy=f"give ring4 to ring{MAX_RING_ACTUATORS}",
-            got=actuators,
         )
     counts: list[int] = []
     while sum(counts) < actuators:
@@ -311,6 +310,4 @@ def mirror(name: str) -> Mirror:
         remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MAX_RING_ACTUATORS},"
         " in segments m4 and gmt;"
         " or give a file",
-        got=name,
-        want=tuple(KNOWN),
     )

@@ -17,13 +17,12 @@ from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline, Polygon, Shell
 from truenewton.mirrors.known import GRAVITY, SHARED, Mirror, MirrorNumbers
-from truenewton.mirrors.shell.finite_elements.outline import depth_inside, polygon_of, sides_of
+from truenewton.mirrors.shell.finite_elements.outline import depth_inside, polygon_of
 from truenewton.quantities import Quantity, convert_quantities
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, layout, rings
 
 MAX_OVERLAP = 1e-3  # in radii of a segment: rounded corners of neighbours overlap by less
-POINTS_PER_SIDE = 16  # that are checked for overlap
 PETAL_INNER, PETAL_OUTER, PETAL_AT = 0.27, 1.2, 0.8  # [m]
 PETAL_LATTICE, PETAL_SHIFT = 29.8e-3, 0.3  # [m], and in units of it
 GMT_SPACING = 35.1e-3  # [m]
@@ -104,24 +103,22 @@ class SegmentedMirror:
         self._refuse_overlaps()
 
     def _refuse_overlaps(self) -> None:
-        """Refuse segments with points of the edge or actuators on another segment."""
+        """Refuse segments whose glass overlaps, by the width of what they share."""
         import shapely
 
         loops = [self.seen_edges([k]) for k in range(1, len(self.segments) + 1)]
         tree = shapely.STRtree([polygon_of(edges) for edges in loops])
-        at, number = np.stack([self.layout.x, self.layout.y], axis=1), self.layout.segment
         reach = [np.hypot(*(np.concatenate(edges) - (place.x, place.y)).T).max()
                  for edges, place in zip(loops, self.places, strict=True)]  # fmt: skip
         for i, j in tree.query(tree.geometries, predicate="intersects").T.tolist():
-            if i == j:
+            if i >= j:
                 continue
-            points = np.concatenate([_along_edges(loops[i]), at[number == i + 1]])
-            depth = float(depth_inside(loops[j], points).max())
-            if depth > MAX_OVERLAP * min(reach[i], reach[j]):
-                one, other = sorted((i, j))
+            shared = shapely.intersection(*tree.geometries[[i, j]])
+            width = 2 * shapely.maximum_inscribed_circle(shared).length if shared.area else 0.0
+            if width > MAX_OVERLAP * min(reach[i], reach[j]):
                 raise GeometryError(
-                    f"segments {one + 1} ({self.segments[one].name}) and {other + 1}"
-                    f" ({self.segments[other].name}) overlap, by {1e3 * depth:.3g} mm",
+                    f"segments {i + 1} ({self.segments[i].name}) and {j + 1}"
+                    f" ({self.segments[j].name}) overlap, by {1e3 * width:.3g} mm",
                     remedy="correct x, y (of the origin of each, in m) or turned (degrees)",
                 )
 
@@ -163,13 +160,6 @@ class SegmentedMirror:
 def _moved(points: Array, place: Place) -> Array:
     """Return (n, 2) points of a segment in the frame of the mirror."""
     return np.asarray((np.insert(points, 0, 1.0, axis=1) @ place.motion.T)[:, 1:])
-
-
-def _along_edges(loops: list[Array]) -> Array:
-    """Return (n, 2) points along polygons, including their corners."""
-    part = np.linspace(0.0, 1.0, POINTS_PER_SIDE, endpoint=False)[:, None, None]
-    start, end = sides_of(loops)
-    return np.asarray((start + part * (end - start)).reshape(-1, 2))
 
 
 def m4() -> SegmentedMirror:

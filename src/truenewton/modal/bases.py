@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import eval_jacobi
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
@@ -47,8 +48,8 @@ def zernike(count: int, x: Array, y: Array, *, without: int = 0) -> Array:
 
         Z_j = sqrt(2 (n + 1)) P_k^(0, m)(2 rho^2 - 1) Re or Im (x + i y)^m,
 
-    without the factor sqrt(2) for m = 0. The recurrence of Jacobi's P (DLMF 18.9.2) for all m at
-    once is stable: it has no large terms of alternating sign.
+    without the factor sqrt(2) for m = 0. The recurrence of Jacobi's P in scipy is stable: it has no
+    large terms of alternating sign.
     """
     n, m = (orders[without:] for orders in noll_orders(count))
     sine = (m > 0) & (np.arange(without + 1, count + 1) % 2 == 1)
@@ -57,37 +58,11 @@ def zernike(count: int, x: Array, y: Array, *, without: int = 0) -> Array:
     Z = np.empty((len(points), count - without))
     for start in range(0, len(points), ROWS_AT_ONCE):
         some = slice(start, start + ROWS_AT_ONCE)
-        _fill(Z[some], points[some], m, (n - m) // 2, sine)
+        waves = np.vander(points[some], int(m.max()) + 1, increasing=True)[:, m]
+        t = 2 * np.abs(points[some, None]) ** 2 - 1
+        Z[some] = eval_jacobi((n - m) // 2, 0, m, t) * np.where(sine, waves.imag, waves.real)
     Z *= scale
     return Z
-
-
-def _fill(
-    Z: Array, points: NDArray[np.complex128], m: NDArray[np.int64], k: NDArray[np.int64],
-    sine: NDArray[np.bool_],
-) -> None:  # fmt: skip
-    """Put rho^m P_k^(0, m)(2 rho^2 - 1) times cosine or sine of m theta, at (p,) points, into Z."""
-    top = int(m.max())
-    power = np.vander(points, top + 1, increasing=True)
-    t = (2 * (points.real**2 + points.imag**2) - 1)[:, None]
-    below: Array = np.zeros((len(power), top + 1))
-    P: Array = np.ones((len(power), top + 1))
-    for degree in range(int(k.max()) + 1):
-        if degree:
-            b = np.arange(max(int(m[k >= degree].max()), 0) + 1.0)
-            P, below = _next(P[:, : len(b)], below[:, : len(b)], degree, b, t), P
-        for part, of_part in ((power.real, ~sine), (power.imag, sine)):
-            here = np.flatnonzero((k == degree) & of_part)
-            Z[:, here] = P[:, m[here]] * part[:, m[here]]
-
-
-def _next(P: Array, below: Array, k: int, b: Array, t: Array) -> Array:
-    """Return P_k^(0, b)(t) from those of degrees k - 1 and k - 2, one column for each b."""
-    if k == 1:  # where the recurrence divides by zero for b = 0
-        return np.asarray(1 + (b + 2) * (t - 1) / 2)
-    c = 2 * k + b
-    rise = (c - 1) * (c * (c - 2) * t - b**2) * P - 2 * (k - 1) * (k + b - 1) * c * below
-    return np.asarray(rise / (2 * k * (k + b) * (c - 2)))
 
 
 def zernike_modes(x: Array, y: Array) -> Array:
@@ -129,8 +104,6 @@ def zernike_modes(x: Array, y: Array) -> Array:
     raise GeometryError(
         f"Zernikes span only {count} of {n} actuators",
         remedy="give each actuator a place of its own, in units of the pupil's radius",
-        got=count,
-        want=n,
     )
 
 

@@ -28,51 +28,51 @@ class _Written:
     """The content of the files, ``cost`` that of the stiffness modes."""
 
     findings: ModalFindings
-    base: ModalBase
-    cost: Dissipation
     limits: Budget
+
+    @property
+    def base(self) -> ModalBase:
+        """The modal base with alpha."""
+        return self.findings.after
+
+    @property
+    def cost(self) -> Dissipation:
+        """The cost of the stiffness modes."""
+        return self.base.costs[0]
+
+    @property
+    def alpha(self) -> Array:
+        """(n, 1) alpha of the enabled actuators."""
+        return self.base.stiffness.enabled_alpha[:, None]
 
     @property
     def true(self) -> Array:
         """(N, N) true forces per true displacement [N/m]."""
-        return self._whole(self.base.stiffness.acting_stiffness)
+        return self._square(self.base.stiffness.acting_stiffness)
 
     @property
     def commanded(self) -> Array:
         """(N, N) commanded forces per true displacement [N/m]."""
-        stiffness = self.base.stiffness
-        return self._whole(stiffness.acting_stiffness / stiffness.enabled_alpha[:, None])
+        return self._square(self.base.stiffness.acting_stiffness / self.alpha)
 
-    def _whole(self, forces: Array) -> Array:
+    def _square(self, forces: Array) -> Array:
         """Return (N, N) forces of all actuators from (n, n) of the enabled, read-only."""
-        all_of_them = self.base.on_all_actuators(self.base.on_all_actuators(forces).T).T
+        all_of_them = self.whole(self.whole(forces).T).T
         all_of_them.setflags(write=False)  # so that a record need not copy it
         return all_of_them
 
+    def whole(self, values: Array) -> Array:
+        """Return (N, m) values of all actuators from (n, m) of the enabled; 0 for others."""
+        return self.base.on_all_actuators(values)
 
-def _displacements(base: ModalBase, cost: int = 0) -> Array:
-    """Return (n, m) displacements of the enabled actuators for the modes of a base."""
-    return base.stiffness.displaced(base.costs[cost].modes)
+    def displacements(self, cost: int = 0) -> Array:
+        """Return (n, m) displacements of the enabled actuators for the modes of a base."""
+        return self.base.stiffness.displaced(self.base.costs[cost].modes)
 
-
-def _readings(base: ModalBase) -> Array:
-    """Return (n, m) readings of each mode."""
-    return base.stiffness.read(_displacements(base))
-
-
-def _forces(base: ModalBase) -> Array:
-    """Return (n, m) the true forces of each mode [N/m]."""
-    return base.stiffness.acting_stiffness @ _displacements(base)
-
-
-def _commands(base: ModalBase) -> Array:
-    """Return (n, m) the commanded forces of each mode [N/m]."""
-    return _forces(base) / base.stiffness.enabled_alpha[:, None]
-
-
-def _over_actuators(values: Callable[[ModalBase], Array]) -> Callable[[_Written], Array]:
-    """Return a function that gives the same for all N actuators."""
-    return lambda written: written.base.on_all_actuators(values(written.base))
+    @property
+    def forces(self) -> Array:
+        """(n, m) true forces of the enabled actuators for each mode [N/m]."""
+        return self.base.stiffness.acting_stiffness @ self.displacements()
 
 
 def _states(base: ModalBase) -> NDArray[np.str_]:
@@ -139,10 +139,10 @@ MODES = FileFormat(
     ),
     (
         replace(ACTUATORS, columns=(*ACTUATORS.columns, STATE), of="base"),
-        ImageFormat("MODES", _over_actuators(_displacements)),
-        ImageFormat("READING", _over_actuators(_readings)),
-        ImageFormat("FORCE", _over_actuators(_forces), "N/m"),
-        ImageFormat("COMMANDED", _over_actuators(_commands), "N/m"),
+        ImageFormat("MODES", lambda w: w.whole(w.displacements())),
+        ImageFormat("READING", lambda w: w.whole(w.base.stiffness.read(w.displacements()))),
+        ImageFormat("FORCE", lambda w: w.whole(w.forces), "N/m"),
+        ImageFormat("COMMANDED", lambda w: w.whole(w.forces / w.alpha), "N/m"),
         TableFormat(
             "STATIC",
             (
@@ -153,14 +153,16 @@ MODES = FileFormat(
         _budget("BUDGET", 0, Column("STIFFNESS", "base.modes.stiffness", "N/m")),
         replace(SOURCES, of="findings.calibration.sources"),
         replace(SOURCES, name="STIFFNESS_SOURCES", of="findings.sources"),
-        ImageFormat("ZERNIKE", _over_actuators(partial(_displacements, cost=1))),
+        ImageFormat("ZERNIKE", lambda w: w.whole(w.displacements(1))),
         _budget("BUDGET_ZERNIKE", 1),
-        ImageFormat("KL", _over_actuators(partial(_displacements, cost=2))),
+        ImageFormat("KL", lambda w: w.whole(w.displacements(2))),
         _budget("BUDGET_KL", 2),
     ),
 )
 PLAIN = {
-    "ff_v_matrix": _plain("MODE", "displacement per mode", None, _over_actuators(_displacements)),
+    "ff_v_matrix": _plain(
+        "MODE", "displacement per mode", None, lambda w: w.whole(w.displacements())
+    ),
     "ff_matrix": _plain("SENSOR", "commanded N per true m", "N/m", "commanded"),
     "ff_matrix_true": _plain("SENSOR", "true N per true m", "N/m", "true"),
 }
@@ -227,8 +229,7 @@ def _write_into(
     folder: Path, paths: Sequence[Path], findings: ModalFindings, limits: Budget
 ) -> None:
     """Write the modal base of one body into a folder, under the names of the paths."""
-    base, stiffness = findings.after, findings.after.stiffness
-    written = _Written(findings, base, base.costs[0], limits)
+    base, stiffness, written = findings.after, findings.after.stiffness, _Written(findings, limits)
     acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     matrix = StiffnessMatrix(
         base.matrix.instrument,

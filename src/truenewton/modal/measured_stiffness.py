@@ -301,7 +301,6 @@ def motion_reader(screened: ScreenedCampaign) -> MotionReader:
         raise RankDeficient(
             "no cycle holds POSITION, so nothing tells the stiffness",
             remedy="record the sensors' readings, or give a measured stiffness file",
-            got=0,
         )
     if len(positioned) < len(campaign.cycles):  # others tell nothing of these
         by_force = screen_campaign(Campaign(tuple(campaign.cycles[k] for k in positioned)))

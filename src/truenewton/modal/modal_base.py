@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array, freeze
-from truenewton.errors import FormatError
 from truenewton.modal.true_stiffness import TrueStiffness
 from truenewton.modal.turbulence import SeenTurbulence
 from truenewton.quantities import Quantity, check_quantities, convert_quantities
@@ -32,8 +31,11 @@ from truenewton.statics.modes import StiffnessModes
 
 EFFICIENCY = 0.51  # commanded force per root of power, of LBT's and P45's coils [N/W^1/2]
 FORCE_SIGMAS = 3.0  # of the turbulent force that an actuator has to reach in addition to the static
+EFFICIENCIES = Quantity(
+    "N W(-1/2)", 1e-6, 1e6, "give the commanded force per root of power, as 0.51",
+    "an efficiency of {:g} N/W^1/2",
+)  # fmt: skip
 MIN_LIMIT = 1e-12  # squares stay above zero
-MIN_EFFICIENCY = 1e-6
 BLOCKS = 16  # of modes that are computed together
 MIN_BLOCK = 16  # modes
 
@@ -204,12 +206,7 @@ def dissipation(
 
     The (m, m) modes are orthonormal on the commanded actuators; static forces are (n,) [N].
     """
-    if not MIN_EFFICIENCY <= efficiency <= 1.0 / MIN_EFFICIENCY:
-        raise FormatError(
-            f"an efficiency of {efficiency:g} N/W^1/2",
-            remedy="give the commanded force per root of power, as 0.51",
-            got=efficiency,
-        )
+    EFFICIENCIES.check(efficiency)
     own, missed, *summaries = np.empty((7, modes.shape[1]))
     for answer in _answers(modes, stiffness, seen.wavefront):
         own[answer.some], missed[answer.some] = answer.own, answer.missed

@@ -51,27 +51,22 @@ def off_and_slaved(
     for ids, what in ((off, "off"), (slaved, "slaved")):
         if not all(isinstance(name, int | np.integer) for name in ids):
             raise UnknownName(
-                f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]", got=ids
+                f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]"
             )
         unknown = sorted({*map(int, ids)} - {*layout.id.tolist()})  # these do not overflow
         if unknown:
             raise UnknownName(
                 f"no enabled actuator has the ID {unknown[0]} that is to be {what}",
                 remedy=f"IDs go from {layout.id.min()} to {layout.id.max()}",
-                got=unknown[0],
             )
     if both := sorted({*off} & {*slaved}):
-        raise UnknownName(
-            f"actuator {both[0]} is both off and slaved", remedy="name it once", got=both[0]
-        )
+        raise UnknownName(f"actuator {both[0]} is both off and slaved", remedy="name it once")
     floats, follows = np.isin(layout.id, off), np.isin(layout.id, slaved)
     commanded = int(np.count_nonzero(~(floats | follows)))
     if commanded < MIN_ACTUATORS:
         raise RankDeficient(
             f"only {counted(commanded, 'actuator')} of {layout.n} left to command",
             remedy=f"leave {MIN_ACTUATORS} at least",
-            got=commanded,
-            want=MIN_ACTUATORS,
         )
     return floats, follows
 
@@ -93,7 +88,6 @@ def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | N
         raise CampaignMismatch(
             f"the calibration has no alpha for actuator {layout.id[unknown][0]}",
             remedy="calibrate all actuators that the stiffness has enabled",
-            got=int(layout.id[unknown][0]),
         )
     if apart := theirs.part(at).other_actuators(layout):
         raise CampaignMismatch(f"stiffness and calibration disagree on {apart}", remedy=remedy)
@@ -308,8 +302,6 @@ def _sensors(
             raise FormatError(
                 f"sensor_gain has shape {np.shape(sensor_gain)}",
                 remedy=f"give one number for each of the {on.size} actuators",
-                got=np.shape(sensor_gain),
-                want=on.shape,
             )
         gain = np.asarray(sensor_gain, dtype=float)[on]
     elif calibration is not None and matrix.displaced != "true":
@@ -349,7 +341,6 @@ def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) 
                 f"{counted(int(np.count_nonzero(floats)), 'actuator')} switched off, not held by"
                 " the others",
                 remedy="turn fewer off, or measure their stiffness better",
-                got=int(np.count_nonzero(floats)),
             ) from None
         floating[:, acts] = -scipy.linalg.cho_solve(held, k[np.ix_(floats, acts)])
         k += k[:, floats] @ floating

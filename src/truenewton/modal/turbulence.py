@@ -11,7 +11,6 @@ from scipy.spatial.distance import pdist, squareform
 from scipy.special import gamma, kv
 
 from truenewton.arrays import Array, freeze
-from truenewton.errors import FormatError
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.modal.bases import overwritten_by_modes, zernike_modes
 from truenewton.quantities import Quantity, check_quantities, convert_quantities
@@ -172,22 +171,19 @@ def less_mean(C: Array, with_mean: Array, of_mean: float) -> Array:
 class Pupil:
     """The size of the mirror and of the entrance pupil that it fills."""
 
+    QUANTITIES: ClassVar = {
+        name: Quantity(
+            "m", MIN_DIAMETER, MAX_DIAMETER, "give it in metres",
+            f"the {name} of the pupil is {{:g}} m",
+        )
+        for name in ("radius", "diameter")
+    }  # fmt: skip
+
     radius: float  # of the optical surface of the mirror in the plane of x and y [m]
     diameter: float  # of the entrance pupil [m]
 
     def __post_init__(self) -> None:
-        for name in ("radius", "diameter"):
-            value = getattr(self, name)
-            if not MIN_DIAMETER <= value < np.inf:
-                raise FormatError(
-                    f"the {name} of the pupil is {value:g} m", remedy="give it in metres", got=value
-                )
-        if self.diameter > MAX_DIAMETER:
-            raise FormatError(
-                f"the diameter of the pupil is {self.diameter:g} m",
-                remedy="give the telescope's, in metres",
-                got=self.diameter,
-            )
+        check_quantities(self)
 
 
 def centred(layout: Layout) -> tuple[Array, Array]:

@@ -115,18 +115,16 @@ def strain(ready: Prepared) -> Strain:
         stroke=stroke,
         gap=mirror.gap - stroke,
     )
-    for what, got, want, beyond, remedy in (
-        (f"actuator {asked.actuator} takes {force:.3g} N under load '{asked.load}'", force,
-         limits.force, force > limits.force, "plan a smaller shapes.force, or a lighter load"),
-        (f"the stroke is {stroke:.3g} m", stroke, limits.displacement,
-         stroke > limits.displacement, "plan smaller shapes"),
-        (f"the gap closes to {asked.gap:.3g} m", asked.gap, limits.gap, asked.gap < limits.gap,
+    for what, limit, beyond, remedy in (
+        (f"actuator {asked.actuator} takes {force:.3g} N under load '{asked.load}'", limits.force,
+         force > limits.force, "plan a smaller shapes.force, or a lighter load"),
+        (f"the stroke is {stroke:.3g} m", limits.displacement, stroke > limits.displacement,
+         "plan smaller shapes"),
+        (f"the gap closes to {asked.gap:.3g} m", limits.gap, asked.gap < limits.gap,
          "plan a smaller shapes.stroke"),
     ):  # fmt: skip
         if beyond:
-            raise LimitExceeded(
-                f"{what}, beyond its limit of {want:g}", remedy=remedy, got=got, want=want
-            )
+            raise LimitExceeded(f"{what}, beyond its limit of {limit:g}", remedy=remedy)
     return asked
 
 

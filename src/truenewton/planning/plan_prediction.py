@@ -43,7 +43,6 @@ from truenewton.planning.forces import (
 from truenewton.planning.prediction import (
     Prediction,
     predict,
-    predict_with_sensors,
     sensor_errors,
     sensor_information,
 )
@@ -115,7 +114,7 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
     except RankDeficient as error:
         return WithSensors(None, np.empty(0), np.empty(0), _curve([], []), error.fault)
     campaign, moments, alpha = _beforehand(ready)
-    made = [predict_with_sensors(campaign, moments, gained, r, alpha) for r in cycles]
+    made = [predict(campaign, moments, r, alpha, gained) for r in cycles]
     curve = _curve(list(map(float, cycles)), made)
     errors, nothing = sensor_errors(gained, plan.cycles), np.zeros(len(alpha))
     gain, x, y = (errors.get(kind, nothing) for kind in (Kind.GAIN, Kind.X, Kind.Y))

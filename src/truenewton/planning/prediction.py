@@ -20,7 +20,7 @@ from truenewton.estimation.campaign_ml import patterns_near_noise, tolerable, wi
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Diagnosis, ScaleError, scale_errors, typical
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.likelihood import Minimum, expected
+from truenewton.estimation.likelihood import expected
 from truenewton.estimation.paper.identifiability import (
     describe_pattern,
     load_fault,
@@ -102,103 +102,6 @@ class Prediction:
         return self.typical_errors[0]
 
 
-def predict(
-    campaign: Campaign, moments: Moments, cycles: int = 1, alpha: Array | None = None
-) -> Prediction:
-    """Predict the errors of alpha from noiseless forces.
-
-    Parameters
-    ----------
-    campaign
-        One cycle for each load with the forces that would be commanded without noise; with alpha
-        they balance. FORCERR is the noise that one reading will have.
-    moments
-        Of this campaign.
-    cycles
-        How many times each cycle will be run.
-    alpha
-        (n,) of the enabled actuators; 1 by default.
-    """
-    known = pose_known_truth(campaign, moments, alpha)
-    of_loads, *elastic = known.problem.data(moments)
-    data = [replace(of_loads, sums=repeated(of_loads.sums, cycles)), *elastic]
-    minimum = expected(known.problem.a, data, known.problem.prior, known.values)
-    return state_errors(known, minimum, patterns_near_noise(minimum, of_loads.sums.shapes))
-
-
-@dataclass(frozen=True, eq=False)
-class KnownTruth:
-    """The problem of a campaign whose truth is known."""
-
-    problem: Problem  # with the common scale constrained if it is free
-    values: Array  # (u,) unknowns for which the forces balance
-    free: Finding | None  # why the common scale is free; None if it is not
-
-
-def pose_known_truth(campaign: Campaign, moments: Moments, alpha: Array | None) -> KnownTruth:
-    """Pose the problem of a campaign without noise and with known (n,) alpha, see `predict`."""
-    free = load_fault(campaign)
-    refuse(fault for fault in structural_faults(campaign, moments) if fault != free)
-    problem = problem_of(campaign, reading_noise(campaign, moments))
-    alpha = np.ones(problem.n) if alpha is None else alpha
-    values = _true_values(problem, moments, alpha)
-    if free:
-        problem = with_patterns_held(problem, alpha[:, None] / np.linalg.norm(alpha))
-    return KnownTruth(problem, values, free)
-
-
-def state_errors(known: KnownTruth, minimum: Minimum, undetermined: int = 0) -> Prediction:
-    """Return the errors that an estimate from such a minimum will state."""
-    problem, n = known.problem, known.problem.n
-    layout, alpha = problem.campaign.layout, known.values[:n]
-    reading_covariance, changes = minimum.reading_covariance[:n, :n], minimum.changes[:n]
-    warnings = (known.free, _undetermined(undetermined, n))
-    value, vector = largest_eigenvalue(reading_covariance)
-    return Prediction(
-        layout=layout,
-        alpha=alpha,
-        reading_covariance=reading_covariance,
-        systematic_covariance=changes @ changes.T,
-        scale_errors=()
-        if known.free
-        else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
-        diagnosis=Diagnosis(
-            undetermined=undetermined,
-            warnings=tuple(warning for warning in warnings if warning),
-            weakest=describe_pattern(vector, layout),
-            weakest_share=value / float(np.trace(reading_covariance)),
-        ),
-    )
-
-
-def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
-    """Return the (u,) unknowns for which the forces balance: alpha, B, torques, no error."""
-    sums = moments.sums
-    mean = sums.force / sums.weight[:, None]
-    k = -(mean * alpha) @ problem.a.T  # (W + B, M_y, -M_x) of each load
-    unknowns = problem.unknowns
-    values = np.zeros(unknowns.total)
-    values[unknowns.alpha] = alpha
-    values[unknowns.bias] = np.mean(k[:, 0] - problem.campaign.effective_weights)
-    values[unknowns.torques] = (k[:, 1:] * [1.0, -1.0]).ravel()
-    return values
-
-
-def repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
-    """Return the sums over the same shapes, each read in so many cycles."""
-    names = ("weight", "force", "square", "known", "known_force", "known_square")
-    return replace(sums, **{name: cycles * getattr(sums, name) for name in names})
-
-
-def _undetermined(undetermined: int, n: int) -> Finding | None:
-    """Return a finding of patterns that noise will dominate, or of a refusal because of them."""
-    if not undetermined:
-        return None
-    usable = tolerable(Diagnosis(undetermined=undetermined, span=n), n)
-    code = Code.PLANNED_WEAK_PATTERNS if usable else Code.PLANNED_REFUSAL
-    return Finding.of(code, count=undetermined)
-
-
 @dataclass(frozen=True, eq=False)
 class SensorInformation:
     """The information of one cycle of the shapes on alpha and on the sensors."""
@@ -245,25 +148,95 @@ def sensor_information(
     return SensorInformation(asked, information(point)[0])
 
 
-def predict_with_sensors(
-    campaign: Campaign, moments: Moments, gained: SensorInformation, cycles: int, alpha: Array
+def predict(
+    campaign: Campaign,
+    moments: Moments,
+    cycles: int = 1,
+    alpha: Array | None = None,
+    gained: SensorInformation | None = None,
 ) -> Prediction:
-    """Predict the errors of alpha by reciprocity, as `predict` does those by `ml`.
+    """Predict the errors of alpha from noiseless forces, by `ml` or by reciprocity.
 
     Parameters
     ----------
-    campaign, moments, cycles, alpha
-        See `predict`.
+    campaign
+        One cycle for each load with the forces that would be commanded without noise; with alpha
+        they balance. FORCERR is the noise that one reading will have.
+    moments
+        Of this campaign.
+    cycles
+        How many times each cycle will be run.
+    alpha
+        (n,) of the enabled actuators; 1 by default.
     gained
-        Of the same shapes.
+        What reciprocity obtains from the same shapes; None predicts the errors of `ml`.
+
+    Raises
+    ------
+    RankDeficient
+        The shapes or the actuators cannot determine alpha, whatever the noise.
     """
-    known = pose_known_truth(campaign, moments, alpha)
-    problem = known.problem
-    of_loads = mean_forces(problem, moments)
-    data = replace(of_loads, sums=repeated(of_loads.sums, cycles))
-    relative = alpha_information(gained.after(cycles), gained.asked) / np.outer(alpha, alpha)
-    minimum = expected(problem.a, [data], problem.prior.with_more(relative), known.values)
-    return state_errors(known, minimum)
+    free = load_fault(campaign)
+    refuse(fault for fault in structural_faults(campaign, moments) if fault != free)
+    problem = problem_of(campaign, reading_noise(campaign, moments))
+    n, layout = problem.n, campaign.layout
+    alpha = np.ones(n) if alpha is None else alpha
+    values = _true_values(problem, moments, alpha)
+    if free:
+        problem = with_patterns_held(problem, alpha[:, None] / np.linalg.norm(alpha))
+    of_loads, *elastic = problem.data(moments)
+    prior = problem.prior
+    if gained is not None:
+        of_loads, elastic = mean_forces(problem, moments), []
+        relative = alpha_information(gained.after(cycles), gained.asked)
+        prior = prior.with_more(relative / np.outer(alpha, alpha))
+    data = [replace(of_loads, sums=repeated(of_loads.sums, cycles)), *elastic]
+    minimum = expected(problem.a, data, prior, values)
+    weak = 0 if gained is not None else patterns_near_noise(minimum, of_loads.sums.shapes)
+    reading_covariance, changes = minimum.reading_covariance[:n, :n], minimum.changes[:n]
+    value, vector = largest_eigenvalue(reading_covariance)
+    budget = () if free else scale_errors(alpha, reading_covariance, changes.T, problem.errors)
+    return Prediction(
+        layout=layout,
+        alpha=alpha,
+        reading_covariance=reading_covariance,
+        systematic_covariance=changes @ changes.T,
+        scale_errors=budget,
+        diagnosis=Diagnosis(
+            undetermined=weak,
+            warnings=tuple(filter(None, (free, _undetermined(weak, n)))),
+            weakest=describe_pattern(vector, layout),
+            weakest_share=value / float(np.trace(reading_covariance)),
+        ),
+    )
+
+
+def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
+    """Return the (u,) unknowns for which the forces balance: alpha, B, torques, no error."""
+    sums = moments.sums
+    mean = sums.force / sums.weight[:, None]
+    k = -(mean * alpha) @ problem.a.T  # (W + B, M_y, -M_x) of each load
+    unknowns = problem.unknowns
+    values = np.zeros(unknowns.total)
+    values[unknowns.alpha] = alpha
+    values[unknowns.bias] = np.mean(k[:, 0] - problem.campaign.effective_weights)
+    values[unknowns.torques] = (k[:, 1:] * [1.0, -1.0]).ravel()
+    return values
+
+
+def repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
+    """Return the sums over the same shapes, each read in so many cycles."""
+    names = ("weight", "force", "square", "known", "known_force", "known_square")
+    return replace(sums, **{name: cycles * getattr(sums, name) for name in names})
+
+
+def _undetermined(undetermined: int, n: int) -> Finding | None:
+    """Return a finding of patterns that noise will dominate, or of a refusal because of them."""
+    if not undetermined:
+        return None
+    usable = tolerable(Diagnosis(undetermined=undetermined, span=n), n)
+    code = Code.PLANNED_WEAK_PATTERNS if usable else Code.PLANNED_REFUSAL
+    return Finding.of(code, count=undetermined)
 
 
 def sensor_errors(gained: SensorInformation, cycles: int) -> dict[Kind, Array]:

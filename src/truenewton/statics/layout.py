@@ -77,8 +77,6 @@ class Layout:
                 raise GeometryError(
                     f"{name.upper()} has shape {shape}",
                     remedy=f"give one number for each of the {self.n} actuators",
-                    got=shape,
-                    want=(self.n,),
                 )
         if self.n == 0:
             raise GeometryError("there are no actuators", remedy="give at least one")

@@ -1,6 +1,5 @@
-"""What must see the truth and the estimate; sees both towers.
+"""Comparisons of simulated truth and estimate; the only package that imports both sides.
 
-proof    the paper's proof code (sec. 4): without noise, alpha comes back
-scoring  a calibration of simulated data beside the truth that made them
-summary  both in words and numbers
+proof    the paper's proof code (sec. 4): without noise, the systems return alpha
+scoring  a calibration of simulated data compared with the truth, in numbers and text
 """

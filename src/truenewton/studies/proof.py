@@ -9,8 +9,11 @@ C alpha = p by the weight in q alone (`system_d`): what holds for C holds for D,
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -132,3 +135,39 @@ def _cycle(mirror: Mirror, added: float, force: Array) -> Cycle:
         force=spread,
         valid=np.ones(rows, dtype=bool),
     )
+
+
+def proof_values(name: str, proofs: Sequence[Proof]) -> dict[str, Any]:
+    """Return the proofs on a mirror for a script."""
+    return {
+        "mirror": name,
+        "limit": LIMIT,
+        "passed": all(one.passed for one in proofs),
+        "worst": max(one.ratio for one in proofs),
+        "proofs": [{**dataclasses.asdict(one), "ratio": one.ratio} for one in proofs],
+    }
+
+
+def proof_rows(proofs: Sequence[Proof]) -> Iterator[tuple[str, ...]]:
+    """Yield the proofs as rows of a table, its head first."""
+    yield ("seed", "system", "F", "B, M, N", "rank", "singular values", "cond", "error",
+           "error/(eps cond)")  # fmt: skip
+    for one in proofs:
+        yield (
+            str(one.seed),
+            one.system,
+            one.matrix,
+            "random" if one.loaded else "0",
+            f"{one.rank} of {one.unknowns}",
+            f"{one.singular_values[0]:.3g} .. {one.singular_values[-1]:.3g}",
+            f"{one.condition:.3g}",
+            f"{one.error:.1e}",
+            f"{one.ratio:.3f}",
+        )
+
+
+def proof_verdict(proofs: Sequence[Proof]) -> str:
+    """Return what the proofs come to, one line."""
+    passed = all(one.passed for one in proofs)
+    verdict = "alpha comes back to machine precision" if passed else "PROOF FAILED"
+    return f"{verdict}: at most {max(one.ratio for one in proofs):.2f} eps cond (limit {LIMIT:g})"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from truenewton.bench.simulated.truth import Truth
 from truenewton.calibration.result import Calibration
+from truenewton.rounding import percent
+from truenewton.statics.load import Load
 
 
 @dataclass(frozen=True)
@@ -31,4 +34,31 @@ def score(calibration: Calibration, truth: Truth) -> Score:
     return Score(
         scale_error=scale - 1.0,
         pattern_error=float(np.sqrt(np.mean((alpha / (scale * true) - 1.0) ** 2))),
+    )
+
+
+def truth_lines(
+    calibration: Calibration, truth: Truth, loads: Sequence[Load], score: Score, by_svd: Score
+) -> Iterator[str]:
+    """Yield an estimate beside the truth; loads as declared, scores of the estimate and by svd."""
+    yield f"{'':<22}{'estimate':>10} {'truth':>10}"
+    rows = [("B [N]", calibration.bias_force, truth.bias_force)]
+    for name in ("y", "x"):
+        estimated, true = (getattr(each, f"torque_{name}") for each in (calibration, truth))
+        rows += [
+            (f"M_{name} {load} [mN m]", 1e3 * a, 1e3 * b)
+            for load, a, b in zip(truth.loads, estimated, true, strict=True)
+        ]
+    alphas = zip(truth.layout.id[:3], calibration.alpha, truth.alpha, strict=False)
+    rows += [(f"alpha {ident}", a, b) for ident, a, b in alphas]
+    for name, estimate, true in rows:
+        yield f"{name:<22}{estimate:10.4f} {true:10.4f}"
+    yield (
+        f"all {truth.layout.n} alphas: common scale off by {percent(score.scale_error)} (the ring"
+        f" weighs {1e3 * abs(truth.added[1]):.1f} mN, not the {1e3 * abs(loads[1].added):.0f} mN"
+        " declared);"
+    )
+    yield (
+        f"that aside, rms error {percent(score.pattern_error)}, and"
+        f" {percent(by_svd.pattern_error)} by the paper's svd on the same data"
     )

@@ -108,7 +108,6 @@ def _between_bores(film: RoundFilm | MeshedFilm, glass: ShellModel) -> Array:
         raise GeometryError(
             f"bores of {vent:g} m touch each other, or an edge of the glass",
             remedy="give a smaller vent_radius",
-            got=vent,
         )
     return np.asarray(green)
 

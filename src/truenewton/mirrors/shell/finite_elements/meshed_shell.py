@@ -263,7 +263,6 @@ class MeshedShell:
             raise GeometryError(
                 "a sensor reaches over an edge of the glass",
                 remedy="give a smaller sensor or puck, or bring the actuators off the edges",
-                got=over,
             ) from off
         shapes = self.element.shapes(triangle, places.reshape(-1, 1, 2), (0, 0)).reshape(n, q, 21)
         values = (weights[:, None] * shapes).ravel()

@@ -60,7 +60,6 @@ def checked_polygons(polygons: Sequence[ArrayLike]) -> list[Array]:
         raise GeometryError(
             f"an outline of {vertices} vertices",
             remedy=f"thin it to {MAX_VERTICES} at most; one in each element will do",
-            got=vertices,
         )
     for k, loop in enumerate(loops):
         _check_points(loop, _named(k))
@@ -81,7 +80,6 @@ def check_mesh_size(loops: Sequence[Array], mesh_size: float) -> None:
         raise GeometryError(
             f"mesh size {mesh_size:.6g} m",
             remedy=f"give a positive length, {MIN_MESH_SIZE:g} m at least",
-            got=mesh_size,
         )
     triangles = areas_and_moments(loops)[0] / (np.sqrt(3 / 16) * mesh_size**2)
     if triangles > MAX_TRIANGLES:
@@ -89,7 +87,6 @@ def check_mesh_size(loops: Sequence[Array], mesh_size: float) -> None:
         raise GeometryError(
             f"a mesh size of {mesh_size:.6g} m makes some {triangles:.1e} triangles",
             remedy=f"give {coarser:.2g} m or more",
-            got=mesh_size,
         )
 
 
@@ -129,12 +126,9 @@ def _check_points(loop: Array, name: str) -> None:
         raise GeometryError(
             f"{name} is an array of shape {loop.shape}",
             remedy="give x and y of each point, all finite",
-            got=loop.shape,
         )
     if len(loop) < 3:
-        raise GeometryError(
-            f"{name} has {counted(loop, 'point')}", remedy="give three or more", got=len(loop)
-        )
+        raise GeometryError(f"{name} has {counted(loop, 'point')}", remedy="give three or more")
     length = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
     if length.min() <= 1e-9 * length.max():
         i = int(length.argmin())
@@ -153,7 +147,6 @@ def _check_corners(loop: Array, name: str) -> None:
         raise GeometryError(
             f"{name} turns back to {angle[i]:.3g} degrees at its point {i + 1}, {_at(loop[i])}",
             remedy=f"blunt corners below {MIN_CORNER:g} degrees",
-            got=float(angle[i]),
         )
 
 
