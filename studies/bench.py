@@ -39,8 +39,8 @@ from truenewton.figures.style import CURVES, INK, STYLE, new_axes
 from truenewton.mirrors.glass import Annulus, Points
 from truenewton.mirrors.known import lbt672, mmt336, p45, ring
 from truenewton.mirrors.shell.dynamics import film_damping
-from truenewton.mirrors.shell.finite_elements.mesh import shell_mesh
-from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.mesh import shell_mesh
+from truenewton.mirrors.shell.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.round_shell import RoundShell
 from truenewton.mirrors.shell.shell_model import condense, influence, rigid_motions, static_shapes
 from truenewton.statics.modes import stiffness_modes

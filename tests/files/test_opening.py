@@ -25,7 +25,7 @@ from truenewton.files.opening import BLOCK, CARD, check_sizes
 from truenewton.files.toml import read_toml
 from truenewton.linalg import inverse_of_positive
 from truenewton.mirrors.file import layout_in
-from truenewton.mirrors.shell.finite_elements.outline import check_mesh_size
+from truenewton.mirrors.shell.mesh import check_mesh_size
 from truenewton.modal.true_stiffness import off_and_slaved
 from truenewton.modal.turbulence import Atmosphere, Pupil
 from truenewton.records.stiffness_matrix import StiffnessMatrix

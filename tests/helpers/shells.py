@@ -6,8 +6,8 @@ import numpy as np
 
 from truenewton.mirrors.glass import Shell, rim
 from truenewton.mirrors.shell import shell_model
-from truenewton.mirrors.shell.finite_elements.mesh import shell_mesh
-from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.mesh import shell_mesh
+from truenewton.mirrors.shell.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.round_shell import RoundShell
 from truenewton.statics.layout import rings
 

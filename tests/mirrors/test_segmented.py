@@ -25,7 +25,7 @@ from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import GRAVITY
 from truenewton.mirrors.segmented import SEGMENTED
 from truenewton.mirrors.sensor_model import edges_for, segment_sensor_models, sensor_model
-from truenewton.mirrors.shell.finite_elements.outline import depth_inside
+from truenewton.mirrors.shell.mesh import depth_inside
 from truenewton.statics.arms import effective_weight, external_load, resultants
 from truenewton.statics.layout import layout
 

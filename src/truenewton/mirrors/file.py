@@ -19,11 +19,11 @@ from truenewton.files.toml import check_keys, filled, read_toml
 from truenewton.mirrors.glass import Outline, check_shell
 from truenewton.mirrors.known import GRAVITY, KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
-from truenewton.mirrors.shell.finite_elements.mesh import mesh_size_of
-from truenewton.mirrors.shell.finite_elements.outline import (
+from truenewton.mirrors.shell.mesh import (
     check_mesh_size,
     checked_polygons,
     depth_inside,
+    mesh_size_of,
 )
 from truenewton.mirrors.shell.round_shell import MIN_HOLE
 from truenewton.mirrors.shell.shell_model import tool_wedges
@@ -305,14 +305,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def check_mirror(mirror: Mirror, points: Path | None = None, actuators: Path | None = None) -> None:
-    """Refuse a mirror that cannot be simulated, naming the file of its points or actuators.
-
-    Raises
-    ------
-    GeometryError
-        Invalid glass or outline; actuators, sensors or the tool off the glass; a weight far from
-        that of glass and magnets, so that a unit is wrong.
-    """
+    """Refuse a mirror that cannot be simulated, naming the file of its points or actuators."""
     shell, loops = mirror.shell, mirror.shell.polygons()
     check_shell(shell, MIN_HOLE if not loops and shell.inner_radius else 0.0)
     places = np.stack(shell.along(mirror.layout.x, mirror.layout.y), axis=1)

@@ -17,7 +17,7 @@ from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline, Polygon, Shell
 from truenewton.mirrors.known import GRAVITY, SHARED, Mirror, MirrorNumbers
-from truenewton.mirrors.shell.finite_elements.outline import depth_inside, polygon_of
+from truenewton.mirrors.shell.mesh import depth_inside, polygon_of
 from truenewton.quantities import Quantity, convert_quantities
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, layout, rings

@@ -66,30 +66,21 @@ MAX_MISFIT = 2.0  # of the variance of repeats; it is known to 10 % with some hu
 
 @dataclass(frozen=True, eq=False)
 class ModesComparison:
-    """The difference of two sets of k modes, order by order.
+    """The difference of two sets of k modes, order by order."""
 
-    Attributes
-    ----------
-    overlap
-        (k,) mean cos^2 of the N angles between the spans of the first N modes, N = 1..k.
-    rms_angle
-        (k,) rms sine of these angles [rad], from the part outside the span, so that small angles
-        are exact.
-    orders, largest_angle
-        (q,) some N, all if k is at most `MAX_ORDERS`, and the largest angle there [rad].
-    cuts
-        (k,) true if modes N and N + 1 have nearly the same stiffness, so that the span of the first
-        N is arbitrary; false without stiffness.
-    distance
-        Rms of ``rms_angle`` over the orders N < n that cut no pair [rad]: 0 for equal modes, about
-        1/2^1/2 for random ones.
-    """
-
+    # (k,) mean cos^2 of the N angles between the spans of the first N modes, N = 1..k
     overlap: Array
+    # (k,) rms sine of these angles [rad], from the part outside the span, so that small angles are
+    # exact
     rms_angle: Array
+    # (q,) some N, all if k is at most `MAX_ORDERS`, and the largest angle there [rad]
     orders: NDArray[np.int64]
     largest_angle: Array
+    # (k,) true if modes N and N + 1 have nearly the same stiffness, so that the span of the first N
+    # is arbitrary; false without stiffness
     cuts: NDArray[np.bool_]
+    # rms of ``rms_angle`` over the orders N < n that cut no pair [rad]: 0 for equal modes, about
+    # 1/2^1/2 for random ones
     distance: float
 
 

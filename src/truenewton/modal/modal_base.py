@@ -84,45 +84,22 @@ class Budget:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dissipation:
-    """Residual wavefront, forces and powers of the first N = 1..m modes of a base.
+    """Residual wavefront, forces and powers of the first N = 1..m modes of a base."""
 
-    Attributes
-    ----------
-    base
-        'stiffness', 'Zernike', ...
-    modes
-        (m, m) displacement at the commanded actuators, one mode a column, of unit length.
-    stiffness, seen
-        The stiffness and the turbulence.
-    static
-        (n,) static part of the true force: weight, bias, flattening [N].
-    efficiency
-        Commanded force per root of power [N/W^1/2].
-    residual
-        (m,) rms residual wavefront at all enabled actuators [m].
-    force_rms, force_worst
-        (m,) of ``force``, over the actuators [N].
-    reach_worst
-        (m,) largest ``reach`` [N].
-    power_total, power_worst
-        (m,) of all coils together, and of the worst [W].
-
-    Raises
-    ------
-    FormatError
-        An efficiency that is not positive.
-    """
-
-    base: str
+    base: str  # 'stiffness', 'Zernike' or 'Karhunen-Loeve'
+    # (m, m) displacement at the commanded actuators, one mode a column, of unit length
     modes: Array
+    # the stiffness and the turbulence
     stiffness: TrueStiffness
     seen: SeenTurbulence
-    static: Array
-    efficiency: float
-    residual: Array
+    static: Array  # (n,) static part of the true force: weight, bias, flattening [N]
+    efficiency: float  # commanded force per root of power [N/W^1/2]
+    residual: Array  # (m,) rms residual wavefront at all enabled actuators [m]
+    # (m,) of ``force``, over the actuators [N]
     force_rms: Array
     force_worst: Array
-    reach_worst: Array
+    reach_worst: Array  # (m,) largest ``reach`` [N]
+    # (m,) of all coils together, and of the worst [W]
     power_total: Array
     power_worst: Array
 
@@ -282,26 +259,14 @@ def _growth(answers: Array, before: Array, own: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ModalBase:
-    """Stiffness modes of a mirror, and the cost of correcting turbulence.
+    """Stiffness modes of a mirror, and the cost of correcting turbulence."""
 
-    Attributes
-    ----------
-    matrix
-        The measured stiffness of all N actuators, disabled ones and those off included.
-    stiffness
-        The true stiffness, with alpha or with alpha = 1.
-    modes
-        Its eigenmodes, softest first.
-    seen
-        The turbulence.
-    costs
-        Of the stiffness modes, Zernike's and those of Karhunen and Loeve.
-    """
-
+    # the measured stiffness of all N actuators, disabled ones and those off included
     matrix: StiffnessMatrix
-    stiffness: TrueStiffness
-    modes: StiffnessModes
-    seen: SeenTurbulence
+    stiffness: TrueStiffness  # the true stiffness, with alpha or with alpha = 1
+    modes: StiffnessModes  # its eigenmodes, softest first
+    seen: SeenTurbulence  # the turbulence
+    # of the stiffness modes, Zernike's and those of Karhunen and Loeve
     costs: tuple[Dissipation, ...]
 
     def __repr__(self) -> str:

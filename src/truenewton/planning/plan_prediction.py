@@ -186,36 +186,22 @@ def duration(plan: CampaignPlan, shapes: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PlanPrediction:
-    """All that is predicted of a plan.
+    """All that is predicted of a plan."""
 
-    Attributes
-    ----------
-    ready, prediction, strain
-        The plan with its forces, the errors, and the largest force and stroke.
-    duration
-        [s]
-    against_cycles, against_weight
-        Errors against cycles, and against factors of the added weights (empty if there are none).
-    warnings
-        Each with its remedy.
-    orders
-        Cost of each number of turns, one first; empty if the scale is free.
-    third_load
-        What a third load would show; None if there are three, or no scale.
-    reciprocity
-        What reciprocity will give.
-    """
-
+    # the plan with its forces, the errors, and the largest force and stroke
     ready: Prepared
     prediction: Prediction
     strain: Strain
-    duration: float
+    duration: float  # [s]
+    # errors against cycles, and against factors of the added weights (empty if there are none)
     against_cycles: Curve
     against_weight: Curve
-    warnings: tuple[Finding, ...]
+    warnings: tuple[Finding, ...]  # each with its remedy
+    # cost of each number of turns, one first; empty if the scale is free
     orders: tuple[OrderCost, ...]
+    # what a third load would show; None if there are three, or no scale
     third_load: ThirdLoad | None
-    reciprocity: WithSensors
+    reciprocity: WithSensors  # what reciprocity will give
 
 
 def predict_plan(path: str | os.PathLike[str]) -> PlanPrediction:

@@ -42,28 +42,16 @@ from truenewton.statics.layout import Layout
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The errors that a calibration will state, of the n enabled actuators.
+    """The errors that a calibration will state, of the n enabled actuators."""
 
-    Attributes
-    ----------
-    layout
-        The actuators, disabled ones included.
-    alpha
-        (n,) the alpha that was assumed.
-    reading_covariance, systematic_covariance
-        (n, n) covariance of alpha from the readings and from the weights.
-    scale_errors
-        Budget of the common scale, largest first; empty where the scale is free.
-    diagnosis
-        Weak patterns; its undetermined ones will hardly exceed the noise.
-    """
-
-    layout: Layout
-    alpha: Array
+    layout: Layout  # the actuators, disabled ones included
+    alpha: Array  # (n,) the alpha that was assumed
+    # (n, n) covariance of alpha from the readings and from the weights
     reading_covariance: Array
     systematic_covariance: Array
+    # budget of the common scale, largest first; empty where the scale is free
     scale_errors: tuple[ScaleError, ...]
-    diagnosis: Diagnosis
+    diagnosis: Diagnosis  # weak patterns; its undetermined ones will hardly exceed the noise
 
     @property
     def scale_is_free(self) -> bool:
@@ -170,11 +158,6 @@ def predict(
         (n,) of the enabled actuators; 1 by default.
     gained
         What reciprocity obtains from the same shapes; None predicts the errors of `ml`.
-
-    Raises
-    ------
-    RankDeficient
-        The shapes or the actuators cannot determine alpha, whatever the noise.
     """
     free = load_fault(campaign)
     refuse(fault for fault in structural_faults(campaign, moments) if fault != free)

@@ -12,18 +12,11 @@ from truenewton.linalg import ROWS_AT_ONCE, eigenvectors, rearranged, symmetrise
 
 @dataclass(frozen=True, eq=False)
 class StiffnessModes:
-    """Eigenmodes of a symmetric stiffness.
+    """Eigenmodes of a symmetric stiffness."""
 
-    Attributes
-    ----------
-    stiffness
-        (n,) eigenvalues, of ascending magnitude but for rigid motions, which come first [N/m].
-    modes
-        (n, n), one mode a column, of unit length.
-    """
-
+    # (n,) eigenvalues, of ascending magnitude but for rigid motions, which come first [N/m]
     stiffness: Array
-    modes: Array
+    modes: Array  # (n, n), one mode a column, of unit length
 
 
 def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessModes:

@@ -9,14 +9,13 @@ import pytest
 from helpers.shells import FLAT, SPHERE, TILTS, X, Y, meshed_stiffness, stiffness
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Outline
-from truenewton.mirrors.shell.finite_elements.mesh import shell_mesh
-from truenewton.mirrors.shell.finite_elements.meshed_shell import (
+from truenewton.mirrors.shell.mesh import checked_polygons, shell_mesh
+from truenewton.mirrors.shell.meshed_shell import (
     argyris,
     elastic_energy,
     monomials,
     quadrature,
 )
-from truenewton.mirrors.shell.finite_elements.outline import checked_polygons
 
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 NONE = np.zeros(0)

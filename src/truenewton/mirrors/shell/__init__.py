@@ -5,5 +5,6 @@ dynamics          mass and air film that move with the glass
 round_shell       thin annular shell: Fourier series in angle, p-elements in radius
 radial_elements   its elastic energy, harmonic by harmonic
 kernels           a point force on an infinite shallow sphere, and means over circles
-finite_elements/  shells of any outline; an independent check of rings
+mesh              polygons around a glass of any outline, and triangles over it
+meshed_shell      shells of any outline by finite elements; an independent check of rings
 """

@@ -36,8 +36,8 @@ from scipy.sparse.linalg import splu
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Points, rim
-from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
-from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.mesh import Indices, Mesh
+from truenewton.mirrors.shell.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.shell_model import ShellModel, StaticShapes, shapes_at
 
 VISCOSITY = 1.82e-5  # of air at 20 degC [Pa s, lit]

@@ -19,8 +19,8 @@ from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Points
 from truenewton.mirrors.known import GRAVITY, Mirror
-from truenewton.mirrors.shell.finite_elements.mesh import mesh_size_of, shell_mesh
-from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.mesh import mesh_size_of, shell_mesh
+from truenewton.mirrors.shell.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.round_shell import RoundShell
 from truenewton.statics.arms import arms, resultants
 

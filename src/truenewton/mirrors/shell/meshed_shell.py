@@ -39,7 +39,7 @@ from scipy.special import perm, roots_sh_jacobi
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Points, Shell, rim
-from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
+from truenewton.mirrors.shell.mesh import Indices, Mesh
 
 DEGREE = 5
 POWERS = np.array([(p, k - p) for k in range(DEGREE + 1) for p in range(k, -1, -1)])
