@@ -50,11 +50,10 @@ from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
-from truenewton.records.parts import Parts, has_parts
+from truenewton.records.parts import Executor, Parts, has_parts
 from truenewton.records.result import Summarised
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.modes import StiffnessModes
 
 MAX_PAIR_DIFFERENCE = 0.01  # relative, of the stiffness of two modes that are a pair
 ROUNDING = 1e-9  # of rigid stiffness, relative to the largest
@@ -246,6 +245,21 @@ class ModalFindings(Summarised):
         return fewest, most
 
 
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """The options of `find_modes`, of the whole mirror or of a segment."""
+
+    atmosphere: Atmosphere
+    diameter: float | None
+    radius: float | None
+    efficiency: float
+    sensor_gain: Array | None
+    motion: Any
+    off: Sequence[int]
+    slaved: Sequence[int]
+    force: bool
+
+
 @overload
 def find_modes(
     data: Campaign | StiffnessMatrix, calibration: Calibration | None = None,
@@ -324,54 +338,56 @@ def find_modes(
     >>> stiffness.residual.shape  # for 1, 2, ... modes
     (45,)
     """
-    options: dict[str, Any] = {
-        "atmosphere": atmosphere, "diameter": diameter, "radius": radius, "efficiency": efficiency,
-        "sensor_gain": sensor_gain, "motion": motion, "off": off, "slaved": slaved, "force": force,
-    }  # fmt: skip
+    request = _Request(
+        atmosphere or Atmosphere(0.8), diameter, radius, efficiency, sensor_gain, motion,
+        off, slaved, force,
+    )  # fmt: skip
     if has_parts(data) and (calibration is None or has_parts(calibration)):
-        return _of_segments(data, calibration, processes, **options)
+        return _of_segments(data, calibration, request, executor_for(data.layout, processes))
     if has_parts(data) or has_parts(calibration):
         raise CampaignMismatch(
             "of data and calibration one is of several segments, the other of one body",
             remedy="choose the segment: --segment, or part(...) in Python",
         )
-    return _of_body(data, calibration, reader, **options)
+    return _of_body(data, calibration, request, reader)
 
 
 def _of_body(
     data: Campaign | StiffnessMatrix,
     calibration: Calibration | None,
-    reader: MotionReader | None,
-    *,
-    atmosphere: Atmosphere | None,
-    diameter: float | None,
-    radius: float | None,
-    efficiency: float,
-    sensor_gain: Array | None,
-    motion: Array | None,
-    off: Sequence[int],
-    slaved: Sequence[int],
-    force: bool,
+    request: _Request,
+    reader: MotionReader | None = None,
 ) -> ModalFindings:
-    """Find the modes of one body, parameters as of `find_modes`."""
+    """Find the modes of one body."""
     if calibration is not None:
-        refuse_unusable(calibration, force=force)
-    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, motion)
-    calibration = _usable(calibration, force=force)
+        refuse_unusable(calibration, force=request.force)
+    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, request.motion)
+    if _true_already(calibration):
+        calibration = replace(calibration, alpha=calibration.alpha / calibration.alpha)  # or NaN
+    else:
+        refuse_unusable(calibration, force=request.force)
     matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
     stiffness_by = partial(
-        true_stiffness, matrix, sensor_gain=sensor_gain, motion=motion, off=off, slaved=slaved
-    )
+        true_stiffness, matrix, sensor_gain=request.sensor_gain, motion=request.motion,
+        off=request.off, slaved=request.slaved,
+    )  # fmt: skip
     before = stiffness_by(None)
     faults = before.asymmetry, before.imbalance
     del before  # to save memory for large mirrors
     modes = (stiffness := stiffness_by(calibration)).modes
-    _refuse_negative(modes, force=force)
-    air, pupil = atmosphere or Atmosphere(0.8), pupil_of(matrix.layout, diameter, radius)
-    seen = seen_turbulence(stiffness.enabled, stiffness.commanded, air, pupil)
+    elastic = modes.stiffness[3:]
+    negative = int(np.count_nonzero(elastic < 0.0))
+    if 2 * negative > elastic.size and not request.force:
+        raise refusal_of(
+            Level.REJECTED,
+            f"{negative} of {elastic.size} elastic modes are negative",
+            "reverse the sign of STIFFNESS, or of POSITION in cycles",
+        )
+    pupil = pupil_of(matrix.layout, request.diameter, request.radius)
+    seen = seen_turbulence(stiffness.enabled, stiffness.commanded, request.atmosphere, pupil)
     static = static_force(stiffness, calibration, at_rest)
-    after = modal_base(matrix, stiffness, modes, seen, static, efficiency)
+    after = modal_base(matrix, stiffness, modes, seen, static, request.efficiency)
     return ModalFindings(
         measured, calibration, after,
         partial(_uncalibrated, after, calibration, at_rest, stiffness_by),
@@ -383,17 +399,10 @@ def _of_body(
 def _of_segments(
     data: SegmentedData,
     calibration: Parts[Calibration] | None,
-    processes: int | None,
-    *,
-    diameter: float | None,
-    radius: float | None,
-    motion: Seen | None,
-    sensor_gain: Array | None,
-    off: Sequence[int],
-    slaved: Sequence[int],
-    **same: Any,
+    request: _Request,
+    executor: Executor | None,
 ) -> Parts[ModalFindings]:
-    """Find the modes of each segment by itself, parameters as of `find_modes`."""
+    """Find the modes of each segment by itself."""
     layout = data.layout
     apart = "" if calibration is None else calibration.layout.other_actuators(layout)
     if apart:
@@ -401,25 +410,26 @@ def _of_segments(
             f"data and calibration are of two mirrors: {apart}",
             remedy="give both of the same mirror",
         )
-    pupil = pupil_of(layout, diameter, radius)
-    for unknown in (name for name in (*off, *slaved) if name not in layout.id):
+    pupil = pupil_of(layout, request.diameter, request.radius)
+    for unknown in (name for name in (*request.off, *request.slaved) if name not in layout.id):
         raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
         if calibration is not None and number in calibration.failed:
             fault, remedy = calibration.failed[number][0]
             raise RankDeficient(fault, remedy=remedy)
-        here = data.of(number)
+        here, gain = data.of(number), request.sensor_gain
         own = pupil_of(layout.part(here)).radius
-        return partial(
-            find_modes, calibration=None if calibration is None else calibration.part(number),
-            radius=own, diameter=pupil.diameter * own / pupil.radius,
-            motion=seen_of(motion, layout, number),
-            sensor_gain=None if sensor_gain is None else sensor_gain[here],
-            off=data.own(number, off), slaved=data.own(number, slaved), **same,
+        of_segment = replace(
+            request, radius=own, diameter=pupil.diameter * own / pupil.radius,
+            motion=seen_of(request.motion, layout, number),
+            sensor_gain=None if gain is None else gain[here],
+            off=data.own(number, request.off), slaved=data.own(number, request.slaved),
         )  # fmt: skip
+        own_alpha = None if calibration is None else calibration.part(number)
+        return partial(_of_body, calibration=own_alpha, request=of_segment)
 
-    return data.solved(solver, "modes", executor_for(layout, processes))
+    return data.solved(solver, "modes", executor)
 
 
 def _uncalibrated(
@@ -460,29 +470,9 @@ def _with_alpha(
     return measured.matrix, measured, calibration, reader
 
 
-def _usable(calibration: Calibration, *, force: bool) -> Calibration:
-    """Return the calibration, with alpha = 1 if the stiffness is in true Newtons already."""
-    if _true_already(calibration):
-        return replace(calibration, alpha=calibration.alpha / calibration.alpha)  # NaN where off
-    refuse_unusable(calibration, force=force)
-    return calibration
-
-
 def _true_already(calibration: Calibration) -> bool:
     """Return whether the calibrated stiffness is in true Newtons, as `modes` writes it."""
     return any(effect.code == Code.TRUE_STIFFNESS for effect in calibration.effects)
-
-
-def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:
-    """Refuse a stiffness most of whose elastic modes are negative, unless forced."""
-    elastic = modes.stiffness[3:]
-    negative = int(np.count_nonzero(elastic < 0.0))
-    if 2 * negative > elastic.size and not force:
-        raise refusal_of(
-            Level.REJECTED,
-            f"{negative} of {elastic.size} elastic modes are negative",
-            "reverse the sign of STIFFNESS, or of POSITION in cycles",
-        )
 
 
 def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:
