@@ -114,6 +114,7 @@ def test_a_table_with_units_and_names(mine):
         ("[shell]", "[sensor]\nouter_radius = 0.05\n[shell]", GeometryError, "its sensor reaches"),
         ("[shell]", "alpha_range = [5e-324, 1.0]\n[shell]", FormatError, "positive and near 1"),
         ("[shell]", "coil_gradient = -1e6\n[shell]", FormatError, "sign within the gap"),
+        ("[shell]", "puck_radius = -1e-3\n[shell]", FormatError, "puck_radius is -0.001; give z"),
         ("actuators.csv", "nowhere.csv", UnreadableFile, "cannot be read"),
         ("actuators.csv", "mine.toml", FormatError, "lacks column 'X'; it has 'name = "),
     ],

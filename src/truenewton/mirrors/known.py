@@ -66,8 +66,9 @@ class MirrorNumbers:
     QUANTITIES: ClassVar = {
         "weight": WEIGHT, "weight_error": NOT_NEGATIVE["N"], "added_weight": WEIGHT,
         "added_weight_error": NOT_NEGATIVE["N"], "bias_force": Quantity("N"),
-        "magnet_mass": NOT_NEGATIVE["kg"], "gap": NOT_NEGATIVE["m"], "puck_radius": Quantity("m"),
-        "vent_radius": NOT_NEGATIVE["m"], "tool_radius": NOT_NEGATIVE["m"],
+        "magnet_mass": NOT_NEGATIVE["kg"], "gap": NOT_NEGATIVE["m"],
+        "puck_radius": NOT_NEGATIVE["m"], "vent_radius": NOT_NEGATIVE["m"],
+        "tool_radius": NOT_NEGATIVE["m"],
         "coil_gradient": Quantity("1/m"), "bias_gradient": Quantity("N/m"),
         "alpha_range": Quantity(
             "", MIN_ALPHA, 1.0 / MIN_ALPHA,

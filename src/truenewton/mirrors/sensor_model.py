@@ -58,10 +58,8 @@ def model_sensors(glass: ShellModel) -> Array:
 def displaced_readings(glass: ShellModel) -> Array:
     """Return the derivatives of readings by the places of sensors, per reading at the magnets.
 
-    Returns
-    -------
-    numpy.ndarray
-        (5, n, n) derivatives along x, y [1/m], xx, xy, yy [1/m2] of the layout, with fixed normals.
+    (5, n, n): along x, y [1/m], xx, xy, yy [1/m2] of the layout, with fixed normals. A
+    GeometryError refuses a sensor that touches its puck, another's or an edge.
     """
     steps = STEP * np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)])
     here = np.eye(glass.mirror.layout.n)

@@ -30,21 +30,9 @@ def noll_orders(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def zernike(count: int, x: Array, y: Array, *, without: int = 0) -> Array:
     """Return the (p, count) values of Noll's Zernike polynomials j = 1 .. count, one a column.
 
-    They are orthonormal over the unit disc.
-
-    Parameters
-    ----------
-    count
-        Number of the last one.
-    x, y
-        (p,) points in units of the radius of the pupil.
-    without
-        Number of first ones to omit.
-
-    Notes
-    -----
-    Noll 1976 (JOSA 66, 207), eqs. 1 and 2: even j is a cosine, odd j a sine. The radial polynomial
-    is rho^m P_k^(0, m)(2 rho^2 - 1), k = (n - m) / 2, so that
+    They are orthonormal over the unit disc, to whose radius the (p,) points x, y refer; the first
+    ``without`` are omitted. Noll 1976 (JOSA 66, 207), eqs. 1 and 2: even j is a cosine, odd j a
+    sine. The radial polynomial is rho^m P_k^(0, m)(2 rho^2 - 1), k = (n - m) / 2, so that
 
         Z_j = sqrt(2 (n + 1)) P_k^(0, m)(2 rho^2 - 1) Re or Im (x + i y)^m,
 

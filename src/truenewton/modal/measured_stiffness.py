@@ -88,14 +88,9 @@ class MotionReader:
     c (1 + COILGRAD z) over the rows that have their opposite, which is known at the end of a cycle:
     until then rows are relative to that of its first rows, and then the sums are corrected.
 
-    Parameters
-    ----------
-    campaign, sound
-        The campaign to be read; the same with excluded rows marked as not valid.
-    positioned
-        Indices of its cycles with POSITION; if there are none, only ``force_at_rest`` is found.
-    rejected
-        Rows excluded from these cycles.
+    ``sound`` is the campaign to be read with excluded rows marked as not valid, ``positioned`` the
+    indices of its cycles with POSITION, ``rejected`` the rows excluded from these. Without such
+    cycles only ``force_at_rest`` is found.
     """
 
     def __init__(

@@ -13,12 +13,9 @@ from truenewton.planning.plan_prediction import Curve, PlanPrediction
 
 
 def plot_plan(outcome: PlanPrediction, target: float | None = None) -> Axes:
-    """Draw the typical error of alpha and its two parts, the plan a dot, a wanted error a line.
+    """Draw the typical error of alpha and its two parts, the plan as a dot, the target as a line.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-        The first of two panels of one figure; without added weights, the only one.
+    Returns the axes of the first of two panels; without added weights there is only one.
     """
     plan, by_weight = outcome.ready.plan, outcome.against_weight
     heaviest = max(abs(load.added) for load in plan.loads)

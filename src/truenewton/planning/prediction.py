@@ -115,17 +115,10 @@ def sensor_information(
 ) -> SensorInformation:
     """Return the information of noiseless forces and readings on relative alpha and the sensors.
 
-    Parameters
-    ----------
-    places
-        Of the n enabled actuators, with the model of their sensors.
-    asked
-        The unknowns of the sensors.
-    shapes, force
-        (N, n) readings [m] and commanded forces [N] of one cycle under all loads, less those at
-        rest: every shape has both signs, so that their means are 0.
-    force_noise, position_noise
-        Standard deviations of one reading [N], [m].
+    The (N, n) readings [m] and commanded forces [N] are those of one cycle under all loads, less
+    those at rest: every shape has both signs, so that their means are 0. The noises are standard
+    deviations of one reading [N], [m]. A RankDeficient tells that no shape contains some motion of
+    the mirror.
     """
     square = shapes.T @ shapes
     refuse_unheld(square)
@@ -145,19 +138,15 @@ def predict(
 ) -> Prediction:
     """Predict the errors of alpha from noiseless forces, by `ml` or by reciprocity.
 
-    Parameters
-    ----------
-    campaign
-        One cycle for each load with the forces that would be commanded without noise; with alpha
-        they balance. FORCERR is the noise that one reading will have.
-    moments
-        Of this campaign.
-    cycles
-        How many times each cycle will be run.
-    alpha
-        (n,) of the enabled actuators; 1 by default.
-    gained
-        What reciprocity obtains from the same shapes; None predicts the errors of `ml`.
+    The campaign has one cycle for each load with the forces that would be commanded without noise,
+    and these moments; with (n,) alpha, 1 by default, they balance. FORCERR is the noise that one
+    reading will have, and each cycle will be run ``cycles`` times. With what reciprocity obtains
+    from the same shapes, ``gained``, the errors are those of reciprocity.
+
+    Raises
+    ------
+    RankDeficient
+        The shapes or the actuators cannot determine alpha, whatever the noise.
     """
     free = load_fault(campaign)
     refuse(fault for fault in structural_faults(campaign, moments) if fault != free)

@@ -45,17 +45,13 @@ FUNCTIONS_PER_ACTUATOR = 3.0  # of pressure, along a line
 
 
 def moving_mass(glass: ShellModel, shapes: StaticShapes) -> tuple[Array, Array]:
-    """Return M and S in M z'' + K~ z = S' f, z the readings and f the forces.
+    """Return M [kg] and S, (n, n) each, in M z'' + K~ z = S' f, z the readings and f the forces.
 
-    M = rho t integral of phi_i phi_j + magnet_mass S' S (Guyan's reduction), with phi the
-    influence functions and S the displacement of the pucks with their magnets per reading, 1 if
-    actuators are read at the points of their forces. S transforms the forces to the readings by
-    virtual work; K~ = S' K. Motion along the glass and the inertia of rotation are neglected.
-
-    Returns
-    -------
-    tuple of numpy.ndarray
-        (n, n) mass by the readings [kg], symmetric; for rigid motions that of the whole. (n, n) S.
+    M = rho t integral of phi_i phi_j + magnet_mass S' S (Guyan's reduction), with phi the influence
+    functions and S the displacement of the pucks with their magnets per reading, 1 if actuators are
+    read at the points of their forces. S transforms the forces to the readings by virtual work; K~
+    = S' K. Motion along the glass and the inertia of rotation are neglected. M is symmetric; for
+    rigid motions it is that of the whole.
     """
     mirror = glass.mirror
     mass = shapes.shape.T @ (shapes.area[:, None] * shapes.shape)

@@ -276,16 +276,10 @@ def mesh_size_of(shell: Shell, x: Array, y: Array) -> float:
 
 
 def shell_mesh(shell: Shell, x: Array, y: Array, *, mesh_size: float) -> Mesh:
-    """Mesh a glass; the edges of a ring are polygons of the circles' areas.
+    """Mesh a ring, a disc (inner radius 0) or an outline, with vertices at (n,) x and y on it [m].
 
-    Parameters
-    ----------
-    shell
-        A ring or outlined; an inner radius of 0 means a full disc.
-    x, y
-        (n,) positions of the actuators along the glass [m].
-    mesh_size
-        Length of the triangles' sides [m], shorter where actuators crowd.
+    Triangles have sides of ``mesh_size`` [m], shorter where actuators crowd. The edges of a ring
+    are polygons of the circles' areas.
     """
     check_shell(shell)
     polygons = shell.polygons()

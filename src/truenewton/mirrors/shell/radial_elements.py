@@ -159,18 +159,11 @@ class RadialElements:
         return energy
 
     def responses(self, harmonics: Array, loads: Array) -> Array:
-        """Return (harmonics, elements, unknowns, n_loads): the shell under loads.
+        """Return (harmonics, elements, unknowns, n_loads): the shell under loads, by harmonic m.
 
-        In the harmonics 0 and 1, springs hold the glass at its outer edge along w and V; balanced
-        loads do not load them.
-
-        Parameters
-        ----------
-        harmonics
-            (harmonics,) m.
-        loads
-            (elements, unknowns, n_loads) work of each load on each unknown; for unknowns of two
-            elements in either.
+        The loads are their work on each unknown, (elements, unknowns, n_loads), for unknowns of two
+        elements in either. In the harmonics 0 and 1, springs hold the glass at its outer edge along
+        w and V; balanced loads do not load them.
         """
         shared, elements, n = 2 * self.at_node, self.nodes.size - 1, self.at_node
         powers = harmonics[:, None] ** np.arange(5)

@@ -54,13 +54,7 @@ def on_glass(
 ) -> NDArray[np.complex128]:
     """Return (n,) places as x + i y in units of the outer radius; refuse those off the glass."""
     a, b = shell.inner_radius, shell.outer_radius
-    if shell.outline is not None:
-        raise GeometryError(
-            "a glass with an outline is no ring", remedy="take finite elements for it"
-        )
     check_shell(shell, MIN_HOLE)
-    if not extent >= 0:
-        raise GeometryError(f"a puck radius of {extent:.6g} m", remedy="give 0 m for a point")
     x, y = (np.asarray(coordinate, dtype=float) for coordinate in places)
     radius = np.hypot(x, y)
     slack = 1e-12 * b - extent  # a point computed to lie on an edge does
@@ -186,21 +180,11 @@ class RoundShell:
     ) -> Iterator[Array]:
         """Yield some rows of the (n_at, n_of) displacement per unit force [m/N].
 
+        Displacements are read at (n_at,) x and y, edges included, or as the mean over a sensor
+        centred there; the (n_of,) forces are off the edges. Each force enters the glass on a circle
+        of ``puck_radius`` [m], 0 for a point: a stiff puck glued to the glass presses with its rim,
+        since the glass under it does not bend. Its stiffness is not added to that of the glass.
         Symmetric only if displacements are read at point forces, or on the circle of the puck.
-
-        Parameters
-        ----------
-        at
-            x and y, (n_at,) each, of the points where the displacement is read, edges included, or
-            of the centres of the sensors.
-        of
-            x and y, (n_of,) each, of the forces; off the edges.
-        sensor
-            A reading is the mean over it; None reads at the points.
-        puck_radius
-            Radius of the circle on which the force enters the glass [m]; 0 for a point. A stiff
-            puck glued to the glass presses with its rim, since the glass under it does not bend;
-            its stiffness is not added to that of the glass.
         """
         shell, b, digits = self.shell, self.shell.outer_radius, self.digits
         forces = on_glass(shell, of, "force", puck_radius)

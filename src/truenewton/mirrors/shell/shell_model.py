@@ -52,16 +52,10 @@ def condense(compliance: Array, tilts: Array) -> Condensed:
     read at the points of the forces. A sensor reads another mean of the shape, z = S w, and
     K = K_w S^-1 with the symmetric stiffness K_w by the displacement w that the forces do work on.
 
-    Inverts the bordered system [[G, T'], [T, 0]] (forces f and a rigid motion c such that
-    G f + T' c = z and T f = 0) on the balanced forces alone.
-
-    Parameters
-    ----------
-    compliance
-        (n, n) G, displacement at the actuators per unit force [m/N], up to rigid motions.
-    tilts
-        (3, n) T, rows 1, x, y at the actuators [-, m, m]: the rigid motions, and the arms of the
-        forces that the compliance is right for.
+    This inverts the bordered system [[G, T'], [T, 0]] (forces f and a rigid motion c such that G f
+    + T' c = z and T f = 0) on the balanced forces alone. The compliance G is (n, n), up to rigid
+    motions [m/N]. The tilts T are (3, n), rows 1, x, y at the actuators [-, m, m]: the rigid
+    motions, and the arms of the forces that the compliance is right for.
     """
     n = tilts.shape[1]
     if np.linalg.matrix_rank(tilts) < 3:
@@ -72,10 +66,6 @@ def condense(compliance: Array, tilts: Array) -> Condensed:
     basis, triangle = qr(tilts.T)
     balanced, arms = basis[:, 3:], np.linalg.solve(triangle[:3], basis[:, :3].T).T
     flexibility = balanced.T @ compliance @ balanced
-    if n > 3 and np.linalg.cond(flexibility, 1) > 1e12:
-        raise GeometryError(
-            "two actuators stand at one place", remedy="correct the positions or drop one"
-        )
     # The inverse, not a solve: balanced' tilts' = 0 then makes rigid motions free to rounding.
     stiffness: Array = balanced @ np.linalg.inv(flexibility) @ balanced.T
     motion = arms.T - (arms.T @ compliance) @ stiffness
@@ -83,28 +73,18 @@ def condense(compliance: Array, tilts: Array) -> Condensed:
 
 
 def rearming(tilts: Array, arms: Array) -> Array:
-    """Return the displacements of a sphere for those of a shallow shell, z = J w.
+    """Return J, (n, n): the displacements of a sphere for those of a shallow shell, z = J w.
 
-    A shallow shell is free to move as 1, x, y along the glass. A sphere is free to move as nz and
-    the distances from the axis, the arms of the balance (`statics.arms`), which differ by 2.5 % at
-    the edge of LBT672. Only the rigid part of w is exchanged,
+    A shallow shell is free to move as T, (3, n): 1, x, y along the glass. A sphere is free to move
+    as nz and the distances from the axis, the arms of the balance (`statics.arms`), which differ by
+    2.5 % at the edge of LBT672. Only the rigid part of w is exchanged,
 
-        J = 1 + (arms - tilts)' (T T')^-1 T
+        J = 1 + (arms - T)' (T T')^-1 T
 
     so that J T' are the arms, and motions without a rigid part do not change. By virtual work the
     shell feels the forces J' f, balanced over the tilts if f is balanced over the arms. So J G J'
     is the compliance to `condense` with the arms, and J w_q the influence of a load. Without J the
     springs that hold the unbalanced shell would change the result.
-
-    Parameters
-    ----------
-    tilts, arms
-        (3, n) rigid motions T of the shallow shell, and those of the sphere.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n, n) J.
     """
     return np.asarray(np.eye(tilts.shape[1]) + (arms - tilts).T @ np.linalg.pinv(tilts).T)
 
@@ -185,20 +165,10 @@ def weight_on(
     off_centre: Sequence[float] | Array = (0.0, 0.0),
     bias: Array | float = 0.0,
 ) -> ExternalForces:
-    """Return the forces of the weight of a mirror, of a weight tool and of the bias magnets.
+    """Return the forces of the weights P (glass and magnets) and Q (tool) [N], and of the bias.
 
-    Parameters
-    ----------
-    mirror
-        The mirror.
-    weight, added
-        P of glass and magnets, Q of the tool [N].
-    cosine
-        Of the tilt of the axis from the vertical.
-    off_centre
-        x and y of the middle of the tool [m].
-    bias
-        (n,) forces of the bias magnets along the normals [N].
+    The cosine is that of the tilt of the axis from the vertical, ``off_centre`` x and y of the
+    middle of the tool [m]; the (n,) forces of the bias magnets act along the normals [N].
     """
     x, y = tool_wedges(mirror)
     magnets = np.full(mirror.layout.n, -mirror.magnet_mass * GRAVITY)
