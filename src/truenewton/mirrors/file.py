@@ -75,12 +75,7 @@ class _WrittenSegments:
 
 
 def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
-    """Return a mirror in one piece or in segments, by its name or from a TOML file.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return a mirror in one piece or in segments, by its name or from a TOML file."""
     path, known = Path(name), str(name).lower()
     if known in SEGMENTED:
         return SEGMENTED[known]()
@@ -97,12 +92,7 @@ def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
-    """Return a mirror in one piece by its name or from a TOML file (docs/mirrors.md).
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return a mirror in one piece by its name or from a TOML file (docs/mirrors.md)."""
     whole = whole_mirror_from(name)
     if isinstance(whole, SegmentedMirror):
         raise FormatError(
@@ -114,12 +104,7 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
 
 
 def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Layout]:
-    """Return a segment of a mirror in its own frame, and its actuators in that of the mirror.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return a segment of a mirror in its own frame, and its actuators in that of the mirror."""
     whole = whole_mirror_from(name)
     if not isinstance(whole, SegmentedMirror):
         raise FormatError(f"{whole.name} is in one piece", remedy="leave the segment out")
@@ -202,10 +187,6 @@ def layout_in(path: Path) -> Layout:
     """Return the actuators of a FITS file, or of a text table, by default in metres.
 
     Its columns are X, Y and, optionally, ID, NZ, ENABLED.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, GeometryError
     """
     if str(path).endswith(SUFFIXES):
         return read_layout(path)
@@ -219,10 +200,6 @@ def outline_in(path: Path) -> list[list[list[float]]]:
 
     It is the table OUTLINE of a FITS file, or a text table. Its columns are X, Y and, if there are
     holes, LOOP: 0 for the edge, 1, 2, ... for the holes.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
     """
     if str(path).endswith(SUFFIXES):
         values = read_fits(path).values(OUTLINE)

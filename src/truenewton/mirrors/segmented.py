@@ -30,21 +30,14 @@ GMT_SPACING = 35.1e-3  # [m]
 
 @dataclass(frozen=True)
 class Place:
-    """The frame of a segment in that of the mirror.
-
-    Attributes
-    ----------
-    x, y
-        Its origin [m].
-    turned
-        Its rotation, counter-clockwise [deg].
-    """
+    """The frame of a segment in that of the mirror."""
 
     QUANTITIES: ClassVar = {"x": Quantity("m"), "y": Quantity("m"), "turned": Quantity("deg")}
 
+    # its origin [m]
     x: float
     y: float
-    turned: float = 0.0
+    turned: float = 0.0  # its rotation, counter-clockwise [deg]
 
     def __post_init__(self) -> None:
         convert_quantities(self)
@@ -58,27 +51,11 @@ class Place:
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentedMirror:
-    """A mirror whose segments are separate bodies, numbered from 1.
+    """A mirror whose segments are separate bodies, numbered from 1."""
 
-    Attributes
-    ----------
-    name
-        The keyword INSTRUME.
-    segments
-        Mirrors in one piece, each in its own frame.
-    places
-        The frames.
-
-    Raises
-    ------
-    GeometryError
-        Fewer than two segments, forces that do not point along +z, different gradients or gaps,
-        overlapping segments.
-    """
-
-    name: str
-    segments: tuple[Mirror, ...]
-    places: tuple[Place, ...]
+    name: str  # the keyword INSTRUME
+    segments: tuple[Mirror, ...]  # mirrors in one piece, each in its own frame
+    places: tuple[Place, ...]  # the frames
 
     def __post_init__(self) -> None:
         if len(self.segments) < 2:

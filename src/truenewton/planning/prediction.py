@@ -142,11 +142,6 @@ def predict(
     and these moments; with (n,) alpha, 1 by default, they balance. FORCERR is the noise that one
     reading will have, and each cycle will be run ``cycles`` times. With what reciprocity obtains
     from the same shapes, ``gained``, the errors are those of reciprocity.
-
-    Raises
-    ------
-    RankDeficient
-        The shapes or the actuators cannot determine alpha, whatever the noise.
     """
     free = load_fault(campaign)
     refuse(fault for fault in structural_faults(campaign, moments) if fault != free)

@@ -217,21 +217,8 @@ def layout(
     ----------
     x, y
         (n,) positions: numbers [m], or Quantities of any length.
-    id
-        (n,) integer names.
-    nz
-        (n,) cosines between the forces and +z.
-    enabled
-        (n,) false if an actuator applies no force.
-    x_error, y_error
-        (n,) standard uncertainties of x and y.
-    segment
-        (n,) numbers of the segments; by default the mirror is in one piece.
-
-    Raises
-    ------
-    GeometryError
-        See `Layout`.
+    id, nz, enabled, x_error, y_error, segment
+        (n,) each, see `Layout`, which also tells what is refused.
 
     Examples
     --------
