@@ -166,4 +166,4 @@ def test_a_stiffness_reads_in_its_unit(value, text):
 def test_equal_modes_are_not_told_apart():
     compared = compare_modes(np.eye(4), np.eye(4)[:, ::-1], np.ones(4))
     alike = SimpleNamespace(compares=True, comparison=compared)
-    assert words.comparison_text(alike).startswith("not to be told from the calibrated")
+    assert words.comparison_text(alike).startswith("in the span of the calibrated: all")

@@ -1,6 +1,6 @@
-"""How every figure looks, the map of a mirror, and how figures are written.
+"""The style of all figures, maps of a mirror, and figures as files.
 
 style    colours, sizes, fonts of a journal column
 maps     the actuators (paper, fig. 2), values on the map (fig. 6)
-writing  figures as files, complete or not there, and in a web page
+writing  figures as files, and as parts of a web page
 """

@@ -20,22 +20,19 @@ from truenewton.figures.style import COLOURS, CROWDED, FAINT, INK, MILLIMETRE, N
 from truenewton.rounding import significant
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
 
-NUMBER = 0.045  # of the mirror's radius: half the height of a segment's number, and some air
-LEAST_DOT = 0.02  # of the width of the mirror: the radius of a dot that holds three digits
-LEAST_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
+NUMBER = 0.045  # half the height of a segment's number, over the mirror's radius
+MIN_DOT = 0.02  # radius of a dot with room for three digits, over the width of the mirror
+MIN_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
 
 
 def numbers_by_ring(layout: Layout) -> NDArray[np.int64]:
-    """Return (n,) the number of each actuator, counted from 1 ring by ring from the centre.
-
-    Of a mirror in several segments, segment by segment.
-    """
+    """Return (n,) numbers of the actuators from 1, ring by ring outward, or segment by segment."""
     return np.argsort(np.argsort(group_of(layout), kind="stable")) + 1
 
 
 def names_by_ring(layout: Layout) -> dict[int, str]:
-    """Return the ID of each actuator by its number ring by ring; none where all are the same."""
+    """Return the IDs by number ring by ring; empty if they are equal."""
     numbers = numbers_by_ring(layout)
     if np.array_equal(numbers, layout.id):
         return {}
@@ -43,19 +40,19 @@ def names_by_ring(layout: Layout) -> dict[int, str]:
 
 
 def ring_edges(layout: Layout) -> Array:
-    """Return (rings - 1,) where rings part on an axis of actuators, counted from 1 ring by ring."""
+    """Return (rings - 1,) positions between rings on an axis of actuators numbered ring by ring."""
     return np.asarray(np.cumsum(np.bincount(group_of(layout)))[:-1] + 0.5)
 
 
 def ring_label(layout: Layout) -> str:
-    """Return what an axis of actuators ring by ring is called."""
+    """Return the label of an axis of actuators numbered ring by ring."""
     if layout.segments:
         return "actuator, segment by segment"
     return "actuator, ring by ring from the centre" if ring_edges(layout).size else "actuator"
 
 
 def ring_radii(layout: Layout) -> list[float]:
-    """Return the mean radius of each ring [mm]; none where actuators stand on no rings."""
+    """Return the mean radius of each ring [mm]; empty for segments or without rings."""
     if layout.segments:
         return []
     (x, y), ring = ring_centre(layout), ring_of(layout)
@@ -64,7 +61,7 @@ def ring_radii(layout: Layout) -> list[float]:
 
 
 def mark_rings(ax: Axes, layout: Layout) -> None:
-    """Name an axis of actuators ring by ring, its ticks too, and draw lines between the rings."""
+    """Label an axis of actuators and its ticks, and draw lines between the rings."""
     if names := names_by_ring(layout):
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda place, _: names.get(round(place), "")))
@@ -74,17 +71,14 @@ def mark_rings(ax: Axes, layout: Layout) -> None:
 
 
 def ring_names(layout: Layout) -> dict[float, str]:
-    """Return the names of the rings by their middle on an axis of actuators, where there is room.
-
-    Of a mirror in several segments, theirs.
-    """
+    """Return the names of rings or segments by their middle on an axis, if there is room."""
     counts, kind = np.bincount(group_of(layout)), group_name(layout)
     names = layout.segments or tuple(range(1, counts.size + 1))
     middles = np.cumsum(counts) - 0.5 * (counts - 1)
     return {
         float(middle): f"{kind} {ring}" if count >= WIDE_RING * layout.n else str(ring)
         for ring, count, middle in zip(names, counts, middles, strict=True)
-        if counts.size > 1 and count >= LEAST_RING * layout.n
+        if counts.size > 1 and count >= MIN_RING * layout.n
     }
 
 
@@ -96,7 +90,7 @@ def name_rings(ax: Axes, layout: Layout) -> None:
 
 
 def name_point(ax: Axes, name: object, x: float, y: float, points: int = 3, **looks: Any) -> None:
-    """Write a name so many points to the right of a mark."""
+    """Write a name a number of points to the right of a mark."""
     ax.annotate(str(name), (x, y), xytext=(points, 0), textcoords="offset points", fontsize=6.0,
                 va="center", **looks)  # fmt: skip
 
@@ -104,7 +98,7 @@ def name_point(ax: Axes, name: object, x: float, y: float, points: int = 3, **lo
 def plot_layout(layout: Layout, ax: Axes | None = None, edges: Sequence[Array] = ()) -> Axes:
     """Draw the actuators with their names, rings and axes (paper, fig. 2).
 
-    With them the edges of the glass, (vertices, 2) polygons [m], where they are known.
+    Edges of the glass, (vertices, 2) polygons [m], are drawn if they are given.
     """
     with styled_axes(ax, 1.0) as ax:
         _frame(layout, ax, max((np.hypot(*edge.T).max() for edge in edges), default=0.0))
@@ -132,11 +126,11 @@ def plot_map(
     limits: tuple[float, float] | None = None,
     numbers: bool = False,
 ) -> Axes:
-    """Draw values (n,) on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
+    """Draw (n,) values on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
 
-    Up to a hundred actuators bear their names, where dots hold them; with ``numbers`` each its
-    value as well. An actuator without a value (disabled) is an open circle. Among many, the few
-    farthest out take up no colours of their own, unless ``limits`` say where the colours end.
+    Up to a hundred actuators have their names, if dots have room; with ``numbers`` also their
+    values. An actuator without a value (disabled) is an open circle. With many actuators the
+    colours end at the 1st and 99th percentiles, otherwise at the extremes or at ``limits``.
     """
     with styled_axes(ax, 1.02) as ax:
         _frame(layout, ax)
@@ -181,7 +175,7 @@ def plot_map(
 
 
 def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
-    """Draw rings and axes, in millimetres, seen along -z, of a glass that reaches so far [m]."""
+    """Draw rings and axes [mm], seen along -z, with room for a glass of a radius [m]."""
     x, y = ring_centre(layout)
     for radius in ring_radii(layout):
         ax.add_patch(
@@ -213,9 +207,10 @@ def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
 
 
 def segment_places(layout: Layout) -> list[tuple[int, float, float]]:
-    """Return number, x and y [mm] of where each segment is named: beyond it, seen from the middle.
+    """Return number, x and y [mm] for the name of each segment.
 
-    Where others stand in the way beyond another side of it, or in its middle.
+    It is outside the segment, away from the middle of the mirror, or at its centre if there is no
+    room.
     """
     x, y, dot = layout.x / MILLIMETRE, layout.y / MILLIMETRE, dot_radius(layout)
     away = dot + max(2.0 * dot, NUMBER * float(np.hypot(x, y).max()))
@@ -246,7 +241,7 @@ def _name_segments(ax: Axes, layout: Layout) -> None:
 
 
 def _mark_view(ax: Axes) -> None:
-    """Draw z, towards the reader, in the lower left corner, and say how the mirror is seen."""
+    """Draw z, towards the reader, in the lower left corner, and label the direction of view."""
     looks: Any = {"transform": ax.transAxes, "color": INK, "linestyle": "none"}
     for size in (6.0, 1.2):  # the point of an arrow
         ax.plot([0.03], [0.03], "o", markersize=size, markeredgewidth=0.6,
@@ -262,13 +257,13 @@ def _round_length(length: float) -> float:
 
 
 def bears_names(layout: Layout) -> bool:
-    """Tell whether dots are few, and large enough on the map, for the names of their actuators."""
+    """Return whether dots are few and large enough for the names of their actuators."""
     across = max(np.ptp(layout.x), np.ptp(layout.y)) / MILLIMETRE
-    return layout.n <= NAMED and bool(dot_radius(layout) >= LEAST_DOT * across)
+    return layout.n <= NAMED and bool(dot_radius(layout) >= MIN_DOT * across)
 
 
 def dot_radius(layout: Layout) -> float:
-    """Return the radius of a dot that leaves its neighbours free [mm]."""
+    """Return the radius of a dot that does not touch its neighbours [mm]."""
     from scipy.spatial import cKDTree
 
     if layout.n == 1:

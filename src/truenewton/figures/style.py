@@ -19,7 +19,7 @@ SIGNED_COLOURS = "PuOr_r"  # of values about zero; negative purple, as in Bokeh
 INK, FAINT, ACCENT, ALARM = "#1a1a1a", "#9a9a9a", "#00457c", "#a63603"
 # Of several curves; they differ in lightness too, so that they stay apart in grey.
 CURVES = ("#00457c", "#c8891c", "#4f8f6b", "#8c3d88", "#5c5c5c")
-# Titles are notes on how to read a figure; what it shows its caption says.
+# Titles are notes on how to read a figure; captions describe the content.
 STYLE: Any = {
     "font.size": 8.0,
     "axes.labelsize": 8.0,
@@ -29,7 +29,7 @@ STYLE: Any = {
     "legend.frameon": False,
     "axes.titlesize": 6.5,
     "axes.titlelocation": "right",
-    "axes.titley": 1.0,  # nothing stands above the axes that it would have to shun
+    "axes.titley": 1.0,  # no other text is above the axes
     "axes.titlecolor": INK,
     "axes.linewidth": 0.6,
     "lines.linewidth": 0.8,
@@ -37,13 +37,13 @@ STYLE: Any = {
 # Fonts are embedded when a figure is saved, not when it is drawn. Journals take TrueType (42).
 FONTS: Any = {"pdf.fonttype": 42, "ps.fonttype": 42}
 LONGEST = 40  # letters of a label; longer ones would leave no room for the axes
-NAMED = 100  # up to so many actuators bear their names
-CROWDED = 1000  # beyond so many actuators, outlines would be all that is seen
+NAMED = 100  # actuators; more have no names on a map
+CROWDED = 1000  # actuators; with more, outlines would hide the colours
 _ON_SCREEN: ContextVar[bool] = ContextVar("on_screen", default=False)
 
 
 class ColumnFigure(Figure):
-    """A figure whose fonts are embedded as TrueType, whoever saves it and whatever is set."""
+    """A figure whose fonts are always embedded as TrueType."""
 
     def savefig(self, fname: Any, **kwargs: Any) -> None:
         """Save it as any figure."""
@@ -70,7 +70,7 @@ def new_axes(height: float) -> Axes:
 
 @contextmanager
 def on_screen() -> Iterator[None]:
-    """Let new axes be pyplot's, so that they show in Jupyter and in windows: for users alone.
+    """Let new axes be pyplot's, so that they show in Jupyter and in windows.
 
     Files and pages are made without pyplot, which would keep their figures open.
     """
@@ -83,7 +83,7 @@ def on_screen() -> Iterator[None]:
 
 @contextmanager
 def styled_axes(ax: Axes | None, height: float) -> Iterator[Axes]:
-    """Yield the axes given, or new ones ``height`` columns high, and let what is drawn look so."""
+    """Yield the axes given, or new ones ``height`` columns high, in the style of this module."""
     # The first figure of pyplot sets its backend up, which the context would undo.
     figure = ax.figure if ax else new_figure(height)
     with mpl.rc_context(STYLE):
@@ -91,13 +91,13 @@ def styled_axes(ax: Axes | None, height: float) -> Iterator[Axes]:
 
 
 def legend_above(ax: Axes) -> None:
-    """Put the legend of labelled curves above the axes, where it hides none of them."""
+    """Put the legend of labelled curves above the axes, where it covers none of them."""
     longest = max(map(len, ax.get_legend_handles_labels()[1]))
     beside = max(1, min(4, 60 // (longest + 9)))  # of a line of some sixty letters
     ax.legend(ncols=beside, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0)
 
 
 def plain(text: str) -> str:
-    """Return a name from a file as a label: on one line, not too long, and no formula in it."""
+    """Return a name from a file as a label: one line, not too long, without formulas."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return (line if len(line) <= LONGEST else f"{line[:LONGEST]}...").replace("$", r"\$")

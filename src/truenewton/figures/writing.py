@@ -52,7 +52,7 @@ def write_drawn(
 
 
 def write_figure(ax: Axes, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the figure of some axes as PNG, PDF or SVG, whatever the name ends in."""
+    """Write the figure of some axes as PNG, PDF or SVG, by the ending of the name."""
     if Path(path).suffix not in (".png", ".pdf", ".svg"):
         raise OutputFailed(
             "is no name for a figure", remedy="let it end in .png, .pdf or .svg", path=path
@@ -62,11 +62,11 @@ def write_figure(ax: Axes, path: str | os.PathLike[str], *, overwrite: bool = Fa
 
 
 def inline_svg(ax: Axes, key: str) -> str:
-    """Return the figure of some axes as an SVG element that an HTML page holds.
+    """Return the figure of some axes as an SVG element for an HTML page.
 
-    It is as wide as its place on the page, its text is text, and no identifier is that of another
-    figure of the page. What it shows tells the page's element ``caption-{key}``. Where there are
-    thousands of points, they become a picture within it.
+    It is as wide as its place on the page, its text is text, and its identifiers begin with the
+    key. The page's element ``caption-{key}`` is its label. Thousands of points become a picture
+    within it.
     """
     figure = _figure_of(ax)
     drawn = [artist for ax in figure.axes for artist in (*ax.lines, *ax.collections)]
@@ -95,14 +95,14 @@ def inline_svg(ax: Axes, key: str) -> str:
         element.tail = None
     del root.attrib["width"], root.attrib["height"]
     for definitions in root.findall("defs"):
-        if definitions.find("style") is not None:  # which would hold for the whole page
+        if definitions.find("style") is not None:  # which would apply to the whole page
             root.remove(definitions)
     root.attrib |= {"role": "img", "aria-labelledby": f"caption-{key}"}
     return ElementTree.tostring(root, encoding="unicode")
 
 
 def _marks(artist: Artist) -> float:
-    """Return how many marks an artist takes up."""
+    """Return the number of marks of an artist."""
     if isinstance(artist, Line2D):
         points = np.size(artist.get_xdata())
         return points if artist.get_marker() != "None" else points / POINTS_A_MARK

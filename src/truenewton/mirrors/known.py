@@ -128,7 +128,7 @@ SHARED: dict[str, Any] = {
 }
 
 
-def _mirror(name: str, layout: Layout, shell: Shell, **own: Any) -> Mirror:
+def standard_mirror(name: str, layout: Layout, shell: Shell, **own: Any) -> Mirror:
     """Return a mirror with the common numbers, its own, and the weight of shell and magnets."""
     magnets = MirrorNumbers.magnet_mass * layout.n
     weight = -round((shell.mass + magnets) * GRAVITY, 2)
@@ -140,7 +140,7 @@ def _lbt_rings(name: str, count: int, outer_radius: float, **own: Any) -> Mirror
     k = np.arange(count)
     layout = spherical_rings(list(np.radians(1.2615 + 0.8884 * k)), list(9 + 6 * k), 1.955)
     shell = Shell(27.5e-3, outer_radius, 1.6e-3, radius_of_curvature=1.955)
-    return _mirror(name, layout, shell, **own)
+    return standard_mirror(name, layout, shell, **own)
 
 
 def p45() -> Mirror:
@@ -221,7 +221,7 @@ def mmt336() -> Mirror:
     curvature, counts = 1.7, [6, 12, 18, 24, 30, 36, 42, 48, 60, 60]
     turned = [0.0] * 8 + [np.radians(3.0), 0.0]
     angles = np.arcsin(1e-3 * np.array(radii) / curvature)
-    return _mirror(
+    return standard_mirror(
         "MMT336",
         spherical_rings(list(angles), counts, curvature, turned=turned),
         Shell(27.5e-3, 321e-3, 2.0e-3, radius_of_curvature=-curvature),
@@ -268,7 +268,7 @@ def ring(actuators: int) -> Mirror:
     arc = 1.42 * spacing + spacing * np.arange(len(counts))
     edge = float(arc[-1] + 18.4e-3)
     curvature = max(1.955, edge * 1.955 / 0.4555)
-    made = _mirror(
+    made = standard_mirror(
         f"RING{actuators}",
         spherical_rings(list(arc / curvature), counts, curvature),
         Shell(27.5e-3, edge, 1.6e-3, radius_of_curvature=curvature),

@@ -16,7 +16,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline, Polygon, Shell
-from truenewton.mirrors.known import GRAVITY, SHARED, Mirror, MirrorNumbers
+from truenewton.mirrors.known import Mirror, standard_mirror
 from truenewton.mirrors.shell.mesh import depth_inside, polygon_of
 from truenewton.quantities import Quantity, convert_quantities
 from truenewton.rounding import counted
@@ -170,9 +170,9 @@ def gmt() -> SegmentedMirror:
     counts = [9 + 6 * k for k in range(14)]
     radii = [GMT_SPACING * (1.42 + k) for k in range(14)]
     ring = Shell(27.5e-3, 0.525, 2e-3, radius_of_curvature=4.2)
-    middle = _segment("GMT-MIDDLE", rings(radii, counts), ring)
+    middle = standard_mirror("GMT-MIDDLE", rings(radii, counts), ring, tool_radius=0.1)
     more = rings([0.48 * GMT_SPACING, *radii], [3, *counts])
-    outer = _segment("GMT-OUTER", more, replace(ring, inner_radius=0.0))
+    outer = standard_mirror("GMT-OUTER", more, replace(ring, inner_radius=0.0), tool_radius=0.1)
     angles = np.radians(30.0 + 60.0 * np.arange(6))
     around = (Place(float(x), float(y)) for x, y in zip(*_circle(1.09, angles), strict=True))
     return SegmentedMirror(
@@ -194,7 +194,8 @@ def _petal() -> Mirror:
     places = PETAL_LATTICE * lattice.reshape(-1, 2)
     x, y = places[depth_inside([edge], places) >= 14e-3].T
     outline = Outline(_polygon(edge))
-    return _segment("M4-PETAL", layout(x, y), Shell(0.0, 0.8, 1.95e-3, outline=outline))
+    shell = Shell(0.0, 0.8, 1.95e-3, outline=outline)
+    return standard_mirror("M4-PETAL", layout(x, y), shell, tool_radius=0.1)
 
 
 def _circle(radius: float, angle: Array) -> tuple[Array, Array]:
@@ -203,8 +204,3 @@ def _circle(radius: float, angle: Array) -> tuple[Array, Array]:
 
 def _polygon(vertices: Array) -> Polygon:
     return tuple((float(x), float(y)) for x, y in vertices)
-
-
-def _segment(name: str, at: Layout, shell: Shell) -> Mirror:
-    weight = -round((shell.mass + MirrorNumbers.magnet_mass * at.n) * GRAVITY, 2)
-    return Mirror(name=name, layout=at, shell=shell, weight=weight, tool_radius=0.1, **SHARED)

@@ -171,7 +171,7 @@ def _same_in(mirror: Mirror | SegmentedMirror, layout: Layout) -> Layout:
         )
     if known.segments and not np.array_equal(np.asarray(layout.segment), np.asarray(known.segment)):
         raise CampaignMismatch(
-            f"the data have other actuators behind a segment than {mirror.name}, or tell of none",
+            f"the data have other actuators behind a segment than {mirror.name}, or no segments",
             remedy="give ACTUATORS the column SEGMENT, numbered as the segments of the mirror are",
         )
     return known

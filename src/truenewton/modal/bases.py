@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import eval_jacobi
@@ -79,7 +77,8 @@ def zernike_modes(x: Array, y: Array) -> Array:
     """
     n = len(x)
     modes, count = np.empty((n, n)), 0
-    for block in _zernikes(x, y):
+    for tried in range(0, MAX_TRIED * n, BLOCK):
+        block = zernike(min(tried + BLOCK, MAX_TRIED * n), x, y, without=tried)
         left, first = _less(block, modes[:, :count]), count
         for candidate in left.T:
             new = _less(candidate, modes[:, first:count])
@@ -93,16 +92,6 @@ def zernike_modes(x: Array, y: Array) -> Array:
         f"Zernikes span only {count} of {n} actuators",
         remedy="give each actuator a place of its own, in units of the pupil's radius",
     )
-
-
-def _zernikes(x: Array, y: Array) -> Iterator[Array]:
-    """Yield Zernikes in their order, (n, BLOCK) at a time, to bound the memory."""
-    most = MAX_TRIED * len(x)
-    lot = BLOCK * max(len(x) // (4 * BLOCK), 1)
-    for tried in range(0, most, lot):
-        candidates = zernike(min(tried + lot, most), x, y, without=tried)
-        for start in range(0, candidates.shape[1], BLOCK):
-            yield candidates[:, start : start + BLOCK]
 
 
 def _less(vectors: Array, modes: Array) -> Array:

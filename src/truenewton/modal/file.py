@@ -192,9 +192,9 @@ def write_modes(
 ) -> list[Path]:
     """Write the modal base, and feed-forward and modes as plain matrices; return the paths.
 
-    Beside MODES.fits stand MODES.true.fits and MODES.commanded.fits, stiffness files of the force
-    per true displacement in true and in commanded Newtons; and MODES.ff_v_matrix.fits (the modes),
-    MODES.ff_matrix.fits (commanded) and MODES.ff_matrix_true.fits, one plain matrix each.
+    The other files are MODES.true.fits and MODES.commanded.fits, stiffness files of the force per
+    true displacement in true and in commanded Newtons; and one plain matrix each:
+    MODES.ff_v_matrix.fits (the modes), MODES.ff_matrix.fits (commanded), MODES.ff_matrix_true.fits.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ With z the reading and c' = c (1 + COILGRAD z) the force, both relative to rest 
 
     c' = K_c z,    K_c = diag(1/alpha) (K - BIASGRAD) diag(sensor gain)
 
-so that K_c includes the gradient of the magnets, which a feed-forward must hold too.
+so that K_c includes the gradient of the magnets, which a feed-forward must include.
 
 Rows with the same load, SHAPE and SIGN repeat each other; their deviations from their mean are
 noise. A shape and its negative are one shape: their common part (the laws of coils and sensors, no
@@ -289,15 +289,15 @@ def motion_reader(screened: ScreenedCampaign) -> MotionReader:
         return MotionReader(campaign, screened.sound)
     positioned = [
         k
-        for k, cycle in enumerate(campaign.cycles)  # zeros may stand in place of POSITION
+        for k, cycle in enumerate(campaign.cycles)  # POSITION may be zeros
         if cycle.position is not None and largest_in_rows(cycle.position, on)[cycle.valid].any()
     ]
     if not positioned:
         raise RankDeficient(
-            "no cycle holds POSITION, so nothing tells the stiffness",
+            "no cycle holds POSITION, so the stiffness is unknown",
             remedy="record the sensors' readings, or give a measured stiffness file",
         )
-    if len(positioned) < len(campaign.cycles):  # others tell nothing of these
+    if len(positioned) < len(campaign.cycles):
         by_force = screen_campaign(Campaign(tuple(campaign.cycles[k] for k in positioned)))
     else:
         by_force = screened
@@ -402,7 +402,7 @@ def _along_rigid(missing: Array, layout: Layout, has_opposites: bool) -> Array:
     elastic = count - int(np.count_nonzero(cosine > MIN_COSINE))
     if elastic:
         raise RankDeficient(
-            f"{elastic} of {n - 3} elastic motions are missing from the shapes or drowned in noise",
+            f"{elastic} of {n - 3} elastic motions are missing from the shapes, or below the noise",
             remedy="take shapes that span all stiffness modes, larger, or repeat them"
             if has_opposites
             else "take each shape with both signs, so that the mirror at rest is known",

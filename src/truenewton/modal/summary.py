@@ -64,7 +64,9 @@ def rigid_text(measured: MeasuredStiffness) -> str:
     """Return the number of rigid motions that no shape contains; empty if there are none."""
     if not measured.rigid_assumed:
         return ""
-    return f"no shape holds {measured.rigid_assumed} of 3 rigid motions: taken to cost nothing"
+    return (
+        f"no shape contains {measured.rigid_assumed} of 3 rigid motions: assumed to need no force"
+    )
 
 
 def sensor_gains_text(base: ModalBase) -> str:
@@ -82,7 +84,7 @@ def comparison_text(findings: ModalFindings) -> str:
         return ""
     c = findings.comparison
     if not c.orders.size:
-        return "not to be told from the calibrated: all are of nearly the same stiffness"
+        return "in the span of the calibrated: all have nearly the same stiffness"
     worst = int(c.largest_angle.argmax())
     return (
         f"{math.degrees(c.distance):.2g} deg rms from the calibrated; at worst"
@@ -104,8 +106,8 @@ def turbulence_text(base: ModalBase) -> str:
 def fitting_error_text(base: ModalBase) -> str:
     """Return the wavefront that no modes correct."""
     return (
-        f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, whatever the"
-        " number of modes"
+        f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, for any number"
+        " of modes"
     )
 
 
@@ -113,7 +115,7 @@ def static_force_text(cost: Dissipation) -> str:
     """Return the range of the static forces."""
     force = 1e3 * cost.static
     if not force.any():
-        return "unknown, taken for 0: a stiffness file alone tells no weight"
+        return "unknown, assumed 0: a stiffness file contains no weight"
     return f"{force.min():.3g} .. {force.max():.3g} mN"
 
 

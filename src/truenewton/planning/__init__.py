@@ -1,8 +1,8 @@
-"""What a campaign will give before it is measured; imports from both towers.
+"""The result of a campaign, predicted before it is measured.
 
-forces           what a plan asks of the mirror: forces, stroke, gap
+forces           forces, stroke and gap of a plan
 prediction       errors of alpha and of the sensors from noiseless forces
-plan_prediction  errors and time of a plan, a third load, what to change for a target
+plan_prediction  errors and time of a plan, a third load, changes that reach a target
 figures          error against cycles and added weight
 summary          text for the terminal, values for scripts
 """

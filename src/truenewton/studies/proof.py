@@ -4,7 +4,7 @@ A force pattern F_s is built whose first n - 3 columns are independent (the iden
 numbers) and whose last three balance each row by eq. 1. Divided by random alpha_s it is what the
 electronics would record; solving C alpha = p and E alpha' = r must return alpha_s to machine
 precision, that is to a few units of eps times the condition number. D alpha = q differs from
-C alpha = p by the weight in q alone (`system_d`): what holds for C holds for D, as the paper says.
+C alpha = p by the weight in q alone (`system_d`), so the result for C applies to D, too (paper).
 """
 
 from __future__ import annotations

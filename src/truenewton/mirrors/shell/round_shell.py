@@ -2,8 +2,9 @@
 
 Kirchhoff's bending, D lap lap w = q on a flat plate, coupled through the curvature to the membrane
 of a shallow sphere; inner and outer edge free of moment, shear and membrane forces. A unit force
-gives w = kernel + v (`kernels`). The kernel holds the singularity exactly and needs no harmonics;
-it leaves tractions on the edges. The smooth remainder takes them away: for every (phi, psi)
+gives w = kernel + v (`kernels`). The kernel contains the singularity exactly and needs no
+harmonics; it leaves tractions on the edges. The smooth remainder takes them away: for every (phi,
+psi)
 
     a((v, u), (phi, psi)) = - [ integral of (moment dphi/dr - shear phi + N_r psi_r + N_rt psi_t)
                                 r dtheta ] from r = a to r = b
