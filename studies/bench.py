@@ -42,7 +42,7 @@ from truenewton.mirrors.shell.dynamics import film_damping
 from truenewton.mirrors.shell.mesh import shell_mesh
 from truenewton.mirrors.shell.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.round_shell import RoundShell
-from truenewton.mirrors.shell.shell_model import condense, influence, rigid_motions, static_shapes
+from truenewton.mirrors.shell.shell_model import condense, rigid_motions, static_shapes
 from truenewton.statics.modes import stiffness_modes
 
 
@@ -57,7 +57,7 @@ def timed(what: str, step: Callable[[], object]) -> object:
 
 def stiffness(free: RoundShell | MeshedShell, at: Points, sensor: Annulus | None = None) -> Array:
     """Return force per displacement, as read, of a shell free to move along 1, x, y [N/m]."""
-    return condense(influence(free, at, at, sensor), rigid_motions(*at)).stiffness
+    return condense(free.influence(at, at, sensor), rigid_motions(*at)).stiffness
 
 
 def costs() -> None:

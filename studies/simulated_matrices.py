@@ -11,7 +11,6 @@ from truenewton.estimation.reciprocity.sensor_model import Values, places_of, se
 from truenewton.mirrors.known import p45, ring
 from truenewton.mirrors.shell.shell_model import (
     condense,
-    influence,
     model_shell,
     rearming,
     rigid_motions,
@@ -72,7 +71,7 @@ def by_glass(glass, values):
     for r, weight in zip(radius, 0.5 * weights / ANGLES, strict=True):
         for x, y in zip(r * np.cos(angle), r * np.sin(angle), strict=True):
             point = (at[0] + x, at[1] + y)
-            read += weight * influence(glass.free, point, glass.places, None, mirror.puck_radius)
+            read += weight * glass.free.influence(point, glass.places, None, mirror.puck_radius)
     rearmed = rearming(rigid_motions(*at), arms(seen)) @ read @ glass.exchange.T
     n, unit = layout.n, 1e-6  # m/N, so that all is of one size
     bordered = np.block([[rearmed / unit, arms(seen).T], [arms(layout), np.zeros((3, 3))]])

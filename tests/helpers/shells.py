@@ -25,7 +25,7 @@ def circle(radius, n, first=0.0):
 
 
 def influence(shell, at, of, *, digits=13, **reading):
-    return np.concatenate([*RoundShell(shell, digits).influence_in_parts(at, of, **reading)])
+    return RoundShell(shell, digits).influence(at, of, **reading)
 
 
 def uniform_influence(shell, at, **reading):
@@ -44,7 +44,7 @@ def holding_forces(condensed, displacement, load_influence, load_resultants):
 
 
 def free_stiffness(free, at, *, sensor=None, puck_radius=0.0):
-    compliance = shell_model.influence(free, at, at, sensor, puck_radius)
+    compliance = free.influence(at, at, sensor, puck_radius)
     condensing = condense if sensor == rim(puck_radius) else shell_model.condense
     return condensing(compliance, shell_model.rigid_motions(*at)).stiffness
 

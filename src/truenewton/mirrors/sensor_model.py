@@ -19,7 +19,6 @@ from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.mirrors.shell.shell_model import (
     ShellModel,
-    influence,
     model_shell,
     rigid_motions,
     shapes_at,
@@ -88,7 +87,7 @@ def _read_at(glass: ShellModel, steps: Array) -> list[Array]:
     ]
     x, y = np.stack([mirror.shell.along(each.x, each.y) for each in layouts], axis=1)
     all_places = x.ravel(), y.ravel()
-    read = influence(glass.free, all_places, glass.places, mirror.sensor, mirror.puck_radius)
+    read = glass.free.influence(all_places, glass.places, mirror.sensor, mirror.puck_radius)
     tilts = rigid_motions(*all_places)
     condensed = glass.shallow
     shallow = read @ condensed.stiffness + tilts.T @ condensed.motion

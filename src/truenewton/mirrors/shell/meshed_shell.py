@@ -27,7 +27,6 @@ themselves; much less in soft modes, and where annular sensors read.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -217,14 +216,16 @@ class MeshedShell:
         )
         return free, factor
 
-    def influence_in_parts(
-        self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
-    ) -> Iterator[Array]:
-        """Yield rows of the (n_at, n_of) displacement per unit force [m/N], as `RoundShell`."""
+    def influence(
+        self, at: Points, of: Points, sensor: Annulus | None = None, puck_radius: float = 0.0
+    ) -> Array:
+        """Return the (n_at, n_of) displacement per unit force [m/N], as `RoundShell`."""
         solved = self._solved(self._means(of, rim(puck_radius)).T)
+        found = np.empty((at[0].size, solved.shape[1]))
         for first in range(0, at[0].size, POINTS_AT_ONCE):
             some = slice(first, first + POINTS_AT_ONCE)
-            yield self._means((at[0][some], at[1][some]), sensor) @ solved
+            found[some] = self._means((at[0][some], at[1][some]), sensor) @ solved
+        return found
 
     def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
         """Return (n_at,) displacement per unit force spread evenly over the glass [m/N]."""

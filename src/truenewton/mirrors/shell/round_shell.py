@@ -22,7 +22,6 @@ units of b and displacements in units of b^2 / D per newton.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,10 +175,10 @@ class RoundShell:
     shell: Shell  # the glass; |R| several times its outer radius
     digits: int = 13  # decimal digits to keep of the series in harmonics and in radial polynomials
 
-    def influence_in_parts(
-        self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
-    ) -> Iterator[Array]:
-        """Yield some rows of the (n_at, n_of) displacement per unit force [m/N].
+    def influence(
+        self, at: Points, of: Points, sensor: Annulus | None = None, puck_radius: float = 0.0
+    ) -> Array:
+        """Return the (n_at, n_of) displacement per unit force [m/N].
 
         Displacements are read at (n_at,) x and y, edges included, or as the mean over a sensor
         centred there; the (n_of,) forces are off the edges. Each force enters the glass on a circle
@@ -190,9 +189,9 @@ class RoundShell:
         shell, b, digits = self.shell, self.shell.outer_radius, self.digits
         forces = on_glass(shell, of, "force", puck_radius)
         points = on_glass(shell, at, "point", sensor.outer_radius if sensor else 0.0)
-        if points.size == 0 or forces.size == 0:
-            yield np.zeros((points.size, forces.size))
-            return
+        found = np.zeros((points.size, forces.size))
+        if not found.size:
+            return found
         elements = self._elements(np.abs(forces))
         kernel = Kernel(elements.shallowness, puck_radius / b)
         edges = [
@@ -200,7 +199,8 @@ class RoundShell:
             for edge in (1.0, shell.inner_radius / b)
         ]
         circles, mean = Circles.of(sensor, b) if sensor else None, mean_over(sensor, shell)
-        for some in np.array_split(points, -(-points.size // POINTS_AT_ONCE)):
+        for first in range(0, points.size, POINTS_AT_ONCE):
+            some = points[first : first + POINTS_AT_ONCE]
             read = kernel.displacement(np.abs(some[:, None] - forces), circles)
             rings, ring = np.unique(np.abs(some), return_inverse=True)
             for edge in edges:
@@ -209,7 +209,8 @@ class RoundShell:
                 waves = turned(np.swapaxes(remainder, 1, 2), ring, some)
                 for side, traction in zip(waves, edge.traction, strict=True):
                     read += side.T @ traction[: side.shape[0]]
-            yield read * (b**2 / shell.bending_stiffness)
+            found[first : first + POINTS_AT_ONCE] = read * (b**2 / shell.bending_stiffness)
+        return found
 
     def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
         """Return the (n_at,) displacement per unit force spread evenly, along the normals [m/N]."""

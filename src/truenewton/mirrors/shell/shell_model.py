@@ -127,22 +127,10 @@ def model_shell(mirror: Mirror) -> ShellModel:
     if shell.outline is not None or shell.inner_radius == 0:
         mesh = shell_mesh(shell, *places, mesh_size=mesh_size_of(shell, *places))
         free = MeshedShell(shell, mesh)
-    compliance = influence(free, places, places, mirror.sensor, mirror.puck_radius)
+    compliance = free.influence(places, places, mirror.sensor, mirror.puck_radius)
     exchange = rearming(rigid_motions(*places), arms(mirror.layout))
     condensed = condense(exchange @ compliance @ exchange.T, arms(mirror.layout))
     return ShellModel(mirror, free, places, compliance, exchange, condensed)
-
-
-def influence(
-    free: RoundShell | MeshedShell,
-    at: Points,
-    of: Points,
-    sensor: Annulus | None,
-    puck_radius: float = 0.0,
-) -> Array:
-    """Return all rows of the (n_at, n_of) displacement or reading per unit force [m/N]."""
-    parts = free.influence_in_parts(at, of, sensor=sensor, puck_radius=puck_radius)
-    return np.concatenate([*parts])
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +183,7 @@ def forces_under(glass: ShellModel, external: ExternalForces) -> Array:
     """Return the (n,) forces that hold the flat mirror under external ones [N]."""
     sensor = glass.mirror.sensor
     bent = external.spread * glass.uniform_influence
-    bent += influence(glass.free, glass.places, external.at, sensor) @ external.force
+    bent += glass.free.influence(glass.places, external.at, sensor) @ external.force
     straightened = glass.stiffness @ (glass.exchange @ bent)
     borne = glass.condensed.reaction @ _resultants_on_glass(glass.mirror, external)
     return np.asarray(-straightened - borne - external.local)
@@ -232,5 +220,5 @@ def static_shapes(glass: ShellModel) -> StaticShapes:
 def shapes_at(glass: ShellModel, at: Points, over: Annulus | None = None) -> Array:
     """Return (points, n) influence functions at points, or their means over a sensor there."""
     shallow = glass.shallow
-    read = influence(glass.free, at, glass.places, over, glass.mirror.puck_radius)
+    read = glass.free.influence(at, glass.places, over, glass.mirror.puck_radius)
     return np.asarray(read @ shallow.stiffness + rigid_motions(*at).T @ shallow.motion)
