@@ -248,7 +248,7 @@ def predict_prepared(ready: Prepared) -> PlanPrediction:
                 limit=limit,
             ),
         )
-    tell("what the sensors will see besides", 0.3)
+    tell("errors of the sensors", 0.3)
     sensors = with_sensors(ready, cycles)
     tell("errors against cycles and weight", 0.9)
     return PlanPrediction(
@@ -310,7 +310,7 @@ def suggest_changes(ready: Prepared, target: float) -> tuple[Change, ...]:
     """
     plan = ready.plan
     ladders = (
-        ("cycles", _more_cycles(plan), "there are as many as may be"),
+        ("cycles", _more_cycles(plan), "there are as many as possible"),
         ("added weight", _heavier(plan), "no load has an added weight"),
         ("balance", _better_known(plan), "no added weight has an error"),
         ("tilt", _tilted(plan), ""),

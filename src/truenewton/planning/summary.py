@@ -99,7 +99,7 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
     """Yield what reciprocity will give, or why it is not possible."""
     found, plan = outcome.reciprocity, outcome.ready.plan
     if found.planned is None:
-        yield f"  {'by reciprocity':<24}cannot be had: {found.why_not}"
+        yield f"  {'by reciprocity':<24}not possible: {found.why_not}"
         return
     yield f"  by reciprocity (calibrate --method reciprocity --mirror {plan.mirror})"
     error, from_readings, _ = found.planned.typical_errors
@@ -141,7 +141,7 @@ def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
         seen = f"{1e3 * third.seen:.2g} mN ({percent(third.relative)} of scale)"
         yield (
             f"  a third load, as heavy and as well known as '{third.like}', shows what two cannot:"
-            f" {seen} by which '{third.like}' is wrong or borne by something else, and in part"
+            f" {seen} by which '{third.like}' is wrong or carried by something else, and in part"
             " coils whose static gains are not the elastic ones; it costs"
             f" {_time(third.duration)}, {third.mountings} more changes of load; scale"
             f" {percent(third.error_now)} -> {percent(third.error)}"

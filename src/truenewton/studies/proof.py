@@ -28,7 +28,7 @@ from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms, external_load
 from truenewton.statics.load import Load
 
-FEWEST = 5  # actuators, for which n - 3 patterns give as many equations as unknowns
+MIN_ACTUATORS = 5  # actuators, for which n - 3 patterns give as many equations as unknowns
 LIMIT = 20.0  # error / (eps cond) that a backward-stable solution stays below
 
 
@@ -77,7 +77,7 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
     """
     a = enabled_arms(mirror.layout)
     n = a.shape[1]
-    if n < FEWEST:
+    if n < MIN_ACTUATORS:
         raise GeometryError(
             f"only {counted(n, 'actuator')} enabled",
             remedy="enable five at least: three hold the mirror, and two patterns are needed",
