@@ -176,9 +176,7 @@ def test_without_all_motions_there_is_no_reciprocity(ready):
     found = predict_prepared(few)
     assert found.reciprocity.planned is None
     assert found.reciprocity.why_not == "no shape holds 15 of 45 motions of the mirror"
-    assert f"  by reciprocity          not possible: {found.reciprocity.why_not}" in [
-        *lines(found)
-    ]
+    assert f"  by reciprocity          not possible: {found.reciprocity.why_not}" in [*lines(found)]
 
 
 def test_three_loads_whose_weights_can_correct_each_other():
