@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,7 @@ from truenewton.calibration.summary import (
     summary_lines,
     summary_values,
     verdict_lines,
+    warning_lines,
 )
 from truenewton.errors import (
     Fault,
@@ -35,8 +38,9 @@ from truenewton.errors import (
 )
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Diagnosis
-from truenewton.estimation.findings.finding import Verdict, no_alpha
+from truenewton.estimation.findings.finding import Verdict, judged, no_alpha
 from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
+from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files.format import attributes
@@ -45,7 +49,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted, with_error
+from truenewton.rounding import counted, percent, with_error
 
 
 def survey(
@@ -62,7 +66,8 @@ def survey(
     data
         A campaign or a stiffness matrix, of one body or of several segments; or a calibration.
     method, population, motion
-        As in `calibrate`; (6, n, n).
+        As in `calibrate`; (6, n, n). Unless one of them is given, a matrix is described and
+        screened, but no alpha is fitted, which takes long.
     """
     if isinstance(data, Calibration):
         what = f"a calibration, method {data.method}, scale {data.scale}"
@@ -73,16 +78,16 @@ def survey(
         return values, [what, *summary_lines(data)]
     if isinstance(data, SegmentedData):
         return _survey_segments(data, method, population, motion)
-    # Reciprocity of a matrix would keep people waiting.
-    by_balance = isinstance(data, StiffnessMatrix) and method is None and motion is None
-    method = "ml" if by_balance else method
+    screened_only = isinstance(data, StiffnessMatrix) and not (method or population)
+    screened_only = screened_only and motion is None
     method, options = resolve_method(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
         holds, what = "campaign", "campaign"
         facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data, method, options)
     else:
         holds, what = "stiffness", "stiffness matrix"
-        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data, method, options)
+        solve = None if screened_only else partial(calibrate, data, method, **options._asdict())
+        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data, solve)
     refused = verdict.level == Level.NONE
     disabled = int(np.count_nonzero(~data.layout.enabled))
     values = {
@@ -93,15 +98,15 @@ def survey(
         **facts,
         "separation": diagnosis.separation,
         "faults": [attributes(each, "fault", "remedy") for each in verdict.faults if refused],
-        "verdict": verdict,
+        "verdict": verdict if verdict.faults or not screened_only else None,
     }
     off = f" ({disabled} disabled)" if disabled else ""
     headline = f"a {what} of {data.instrument}: {counted(data.layout.n, 'actuator')}{off}{contents}"
     lines.insert(0, headline)
-    if by_balance:
-        note = "calibrate uses symmetry as well, which may settle doubts"
-        lines.append(row("judged by", "the balance of forces (ml)", note))
-    if refused:
+    if screened_only and not refused:
+        lines.append(row("alpha", "not estimated", "`truenewton calibrate` does, and judges it"))
+        lines += warning_lines(verdict.findings)
+    elif refused:
         lines += [f"  not enough for alpha: {each.fault}; {each.remedy}" for each in verdict.faults]
     else:
         apart = diagnosis.separation
@@ -128,7 +133,7 @@ def _survey_segments(
             verdict = no_alpha([Fault(error.fault, error.remedy)])
             values = {"verdict": verdict}
             told = [f"segment {number}", f"  not enough for alpha: {error.fault}; {error.remedy}"]
-        levels.append(values["verdict"].level)
+        levels.append(values["verdict"].level if values["verdict"] else Level.SOUND)
         parts.append({"segment": number, **values})
         lines += told
     good = sum(level >= Level.DOUBTFUL for level in levels)
@@ -203,9 +208,12 @@ def _survey_campaign(
 
 
 def _survey_stiffness(
-    matrix: StiffnessMatrix, method: str, options: Options
+    matrix: StiffnessMatrix, solve: Callable[[], Calibration] | None
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
-    """Return facts and lines of a stiffness matrix alone, the first the end of the headline."""
+    """Return facts and lines of a matrix, the first the end of the headline, and its verdict.
+
+    The verdict is that of a calibration, or on what screening finds if there is nothing to solve.
+    """
     facts = MatrixFacts.of(matrix)
     modes = facts.singular_values
     softest, median, stiffest = float(modes[-1]), float(np.median(modes)), float(modes[0])
@@ -215,6 +223,8 @@ def _survey_stiffness(
         "stiffest": stiffest,
         "used_modes": len(facts.elastic_modes.values),
         "asymmetry": facts.asymmetry,
+        "rigid_cost": facts.rigid_cost,
+        "imbalance": facts.imbalance,
     }
     lines = [
         "",
@@ -223,11 +233,19 @@ def _survey_stiffness(
             "elastic modes",
             f"{values['used_modes']} stiffer than {MIN_SINGULAR_VALUE:g} of the stiffest",
         ),
-        row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
+        row("asymmetry", f"{facts.asymmetry:.2g}, |K - K'| / |K + K'|"),
+        row(
+            "orientation",
+            "transposed" if facts.looks_transposed else "not transposed",
+            f"rigid displacements cost {percent(facts.rigid_cost)} of the diagonal, columns are"
+            f" out of balance by {percent(facts.imbalance)}",
+        ),
     ]
     try:
-        made = calibrate(matrix, method, **options._asdict())
+        if solve is None:
+            screened = screen_matrix(matrix)
+            return values, lines, Diagnosis(), judged((*screened.effects, *screened.warnings))
+        made = solve()
     except (RankDeficient, NotConverged) as error:
-        refusal = no_alpha(refusals(error, None))
-        return values, lines, Diagnosis(), refusal
+        return values, lines, Diagnosis(), no_alpha(refusals(error, None))
     return values, lines, made.diagnosis or Diagnosis(), made.verdict
