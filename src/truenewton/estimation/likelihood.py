@@ -25,8 +25,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 import scipy.linalg
-import scipy.optimize
 from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotrf
 
