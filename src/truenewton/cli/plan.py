@@ -38,9 +38,7 @@ def run(
     if output is not None:
         raise typer.BadParameter("-o goes with --new; --plot FILE writes the figure")
     from truenewton.cli.terminal import busy, print_result
-    from truenewton.figures.writing import write_figure
     from truenewton.files.outputs import refuse_existing
-    from truenewton.planning.figures import plot_plan
     from truenewton.planning.plan_prediction import predict_plan, suggest_changes
     from truenewton.planning.summary import change_lines, lines, values
 
@@ -50,6 +48,9 @@ def run(
         missed = target is not None and outcome.prediction.typical > target
         changes = suggest_changes(outcome.ready, target) if target is not None and missed else ()
     if plot is not None:
+        from truenewton.figures.writing import write_figure  # matplotlib takes half a second
+        from truenewton.planning.figures import plot_plan
+
         write_figure(plot_plan(outcome, target), plot, overwrite=overwrite)
     said = (*lines(outcome), *change_lines(target, changes))
     drawn = () if plot is None else (plot,)

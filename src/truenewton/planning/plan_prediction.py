@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -320,18 +321,18 @@ def suggest_changes(ready: Prepared, target: float) -> tuple[Change, ...]:
     return tuple(_smallest(ready, target, *ladder) for ladder in tried)
 
 
-# Descriptions and plans, each changed more than those before it.
-Ladder = Iterator[tuple[str, CampaignPlan]]
+# Descriptions, and attributes of the plan, each changed more than those before it.
+Ladder = Iterator[tuple[str, dict[str, Any]]]
 
 
 def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing: str) -> Change:
     """Return the first change that reaches the target, or the last within the limits."""
 
-    def breaks(change: tuple[str, CampaignPlan]) -> bool:
-        return not within_limits(ready.changed(change[1]))
+    def breaks(change: tuple[str, dict[str, Any]]) -> bool:
+        return not within_limits(ready.changed(replace(ready.plan, **change[1])))
 
-    def error(change: tuple[str, CampaignPlan]) -> float:
-        return predict_errors(ready.changed(change[1])).typical
+    def error(change: tuple[str, dict[str, Any]]) -> float:
+        return predict_errors(ready.changed(replace(ready.plan, **change[1]))).typical
 
     changes = tuple(ladder)
     allowed = changes[: bisect_left(changes, True, key=breaks)]
@@ -342,21 +343,21 @@ def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing
     reached = error(chosen) <= target
     if reached:
         chosen = allowed[bisect_left(allowed, True, key=lambda change: error(change) <= target)]
-    words, plan = chosen
+    words, plan = chosen[0], replace(ready.plan, **chosen[1])
     return Change(what, reached, words, plan, error(chosen), duration(plan, len(ready.shapes)))
 
 
 def _more_cycles(plan: CampaignPlan) -> Ladder:
     for cycles in range(plan.cycles + 1, MAX_CYCLES + 1):
-        yield counted(cycles, "cycle"), replace(plan, cycles=cycles)
+        yield counted(cycles, "cycle"), {"cycles": cycles}
 
 
 def _heavier(plan: CampaignPlan) -> Ladder:
     if any(load.added for load in plan.loads):
         for factor in FACTORS.tolist():
-            heavier = with_added(plan, factor)
-            words = (f"'{one.name}' {one.added:g} N" for one in heavier.loads if one.added)
-            yield ", ".join(words), heavier
+            loads = with_added(plan, factor).loads
+            words = (f"'{one.name}' {one.added:g} N" for one in loads if one.added)
+            yield ", ".join(words), {"loads": loads}
 
 
 def _better_known(plan: CampaignPlan) -> Ladder:
@@ -367,7 +368,7 @@ def _better_known(plan: CampaignPlan) -> Ladder:
         )
         words = (f"'{one.name}' known to {1e3 * one.added_error:g} mN" for one in loads
                  if one.added_error)  # fmt: skip
-        yield ", ".join(words), replace(plan, loads=loads)
+        yield ", ".join(words), {"loads": loads}
 
 
 def _tilted(plan: CampaignPlan) -> Ladder:
@@ -376,7 +377,7 @@ def _tilted(plan: CampaignPlan) -> Ladder:
     for tilt in range(1, MAX_TILT + 1):
         load = Load(name, tilt=float(tilt), tilt_error=TILT_ERROR)
         words = f"a load tilted by {tilt:g} deg, known to {TILT_ERROR:g} deg"
-        yield words, replace(plan, loads=(*plan.loads, load))
+        yield words, {"loads": (*plan.loads, load)}
 
 
 def _larger(ready: Prepared) -> Ladder:
@@ -384,7 +385,7 @@ def _larger(ready: Prepared) -> Ladder:
     for factor in () if ready.given else FACTORS.tolist():
         larger = replace(shapes, stroke=factor * shapes.stroke, force=factor * shapes.force)
         try:
-            wider = replace(plan, shapes=larger)
+            replace(plan, shapes=larger)
         except LimitExceeded:
             return
-        yield f"up to {1e6 * larger.stroke:.3g} um and {larger.force:.3g} N", wider
+        yield f"up to {1e6 * larger.stroke:.3g} um and {larger.force:.3g} N", {"shapes": larger}
