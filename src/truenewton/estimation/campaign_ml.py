@@ -78,7 +78,7 @@ from truenewton.estimation.problem import (
     with_share_in_balance,
 )
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.readings.repeats import WEIGHED_NOISE
+from truenewton.estimation.readings.rows import WEIGHED_NOISE
 from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, refuse_too_many
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue

@@ -29,8 +29,7 @@ from truenewton.estimation.matrix.couplings import MIN_JUDGED_ACTUATORS, misplac
 from truenewton.estimation.paper.identifiability import centred_means, refuse
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.readings.repeats import WEIGHED_NOISE
-from truenewton.estimation.readings.rows import is_displaced
+from truenewton.estimation.readings.rows import WEIGHED_NOISE, is_displaced
 from truenewton.estimation.screening.frozen_readings import still_sensors
 from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, Noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, naming

@@ -30,7 +30,7 @@ from truenewton.estimation.paper.equations import (
     standing_out,
 )
 from truenewton.estimation.readings.moments import Moments, chosen_groups
-from truenewton.estimation.readings.repeats import row_groups
+from truenewton.estimation.readings.rows import row_groups
 from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, Noise
 from truenewton.estimation.screening.screen import FAR_OUT_FACTOR, ScreenedCampaign, refuse_too_many
 from truenewton.linalg import ROWS_AT_ONCE

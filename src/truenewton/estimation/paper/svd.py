@@ -29,8 +29,8 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.paper.equations import Unknowns, system_c, system_e
 from truenewton.estimation.paper.identifiability import diagnose, refuse
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.readings.repeats import row_groups
 from truenewton.estimation.readings.row_readers import RowBlock, RowReader, read_rows
+from truenewton.estimation.readings.rows import row_groups
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle

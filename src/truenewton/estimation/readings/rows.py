@@ -1,16 +1,16 @@
-"""Rows of a cycle as they balance, with displacements and gradients, and blocks of groups of rows.
+"""Rows of a cycle as they balance, and the groups of rows that repeat one shape.
 
-Displacements count from one reading of each sensor for all cycles of a campaign, the mean of its
-cycles at rest: so alpha is that of the mean place of the glass, wherever a load holds it. But
-somebody's electronics may set their zero anew with each file. Where a sensor's mean over a cycle
-lies further from the common one than its shapes move it, rms, that is what happened: this sensor
-counts from the mean of each cycle instead; and where most sensors do, all do.
+Displacements count from one reading of each sensor for all cycles of a campaign: the mean of its
+cycles at rest. So alpha is that of the mean position of the mirror under all loads. Electronics may
+set their zero anew with each file. If the mean of a sensor over a cycle differs from the common one
+by more than its rms displacement, this sensor counts from the mean of each cycle instead; if this
+holds for most sensors, all of them do.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,21 @@ from truenewton.files.stored_rows import Rows
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 
+WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
+MAX_SHAPE_CODE = 2**40  # of SHAPE, so that a code of load, SHAPE and SIGN fits into 64 bits
+
+Selection = slice | NDArray[np.int64]
+"""Some rows of a cycle."""
+
+
+# -- displacements --------------------------------------------------------------------------------
+
 
 def common_reference(campaign: Campaign) -> Array:
     """Return (n,) the readings from which the displacements of a campaign count [m].
 
-    NaN for a sensor whose zero was set anew, so that it counts from the mean of each cycle; all
-    are NaN where no cycle has POSITION and a gradient.
+    NaN for a sensor that counts from the mean of each cycle; all are NaN if no cycle has both
+    POSITION and a gradient.
     """
     displaced = [cycle for cycle in campaign.cycles if is_displaced(cycle)]
     if not displaced:
@@ -36,13 +45,11 @@ def common_reference(campaign: Campaign) -> Array:
 def rest_positions(campaign: Campaign) -> tuple[Array, ...] | None:
     """Return for each cycle (n,) readings from which its displacements count [m].
 
-    Whether gradients are declared or not; None where a cycle has no POSITION.
+    They do not depend on gradients; None if a cycle has no POSITION.
     """
     if any(cycle.position is None for cycle in campaign.cycles):
         return None
     reference = _reference(list(campaign.cycles))
-    if not np.isnan(reference).any():
-        return (reference,) * len(campaign.cycles)
     return tuple(_from_own_mean(reference, cycle) for cycle in campaign.cycles)
 
 
@@ -55,20 +62,29 @@ def _reference(displaced: list[Cycle]) -> Array:
     return np.where(anew | (anew.mean() > 0.5), np.nan, common)
 
 
+def _from_own_mean(reference: Array, cycle: Cycle) -> Array:
+    """Return (n,) a reference [m], the mean of the cycle itself where it is NaN."""
+    anew = np.isnan(reference)
+    return np.where(anew, cycle.rest_position, reference) if anew.any() else reference
+
+
 def is_displaced(cycle: Cycle) -> bool:
-    """Tell whether POSITION has a say in the balance of a cycle."""
+    """Return whether POSITION changes the balance of a cycle."""
     return cycle.position is not None and bool(cycle.coil_gradient or cycle.bias_gradient)
+
+
+# -- rows as they balance -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class BalancedRows:
-    """The rows of a cycle, what POSITION says of them taken into account.
+    """The rows of a cycle, corrected for POSITION.
 
     Attributes
     ----------
     force, position
-        (N, all) commanded forces [N] and readings [m], or where they stay in their file; None
-        without POSITION.
+        (N, all) commanded forces [N] and readings [m], in memory or in their file; position is None
+        if it does not change the balance.
     enabled
         (all,) which of the actuators take part, n of them.
     a
@@ -87,35 +103,22 @@ class BalancedRows:
     coil: float
     bias: float
 
-    @property
-    def displaced(self) -> bool:
-        """Whether POSITION has a say in the balance."""
-        return self.position is not None and bool(self.coil or self.bias)
-
-    def read(self, rows: slice | NDArray[np.int64]) -> tuple[Array, Array | None]:
-        """Read (m, n) forces [N] of some rows and readings [m], None where they do not count."""
-        position = None
-        if self.position is not None and self.displaced:
-            position = self.used(self.position, rows)
+    def read(self, rows: Selection) -> tuple[Array, Array | None]:
+        """Read (m, n) forces [N] and readings [m] of some rows."""
+        position = None if self.position is None else self.used(self.position, rows)
         return self.used(self.force, rows), position
 
     def of(self, force: Array, position: Array | None) -> tuple[Array, Array | None]:
         """Return (m, n) c (1 + COILGRAD z) [N] and (m, 3) A (BIASGRAD z) of what was read.
 
-        The latter is None where readings do not count.
+        The latter is None without position.
         """
         if position is None:
             return force, None
         z = position - self.zero
         return force * (1.0 + self.coil * z), self.bias * z @ self.a.T
 
-    def displacement(self, rows: slice | NDArray[np.int64]) -> Array:
-        """Read (m, n) displacements of some rows [m]."""
-        if self.position is None:
-            raise ValueError("there is no POSITION")
-        return self.used(self.position, rows) - self.zero
-
-    def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
+    def used(self, values: Rows, rows: Selection) -> Array:
         """Return FORCE [N] or POSITION [m] of some rows, (m, n)."""
         chosen = values[rows]
         return chosen if self.enabled.all() else chosen[:, self.enabled]
@@ -129,108 +132,72 @@ def balanced_rows(cycle: Cycle, a: Array, reference: Array) -> BalancedRows:
     cycle, a
         The cycle, and (3, n) arms of its enabled actuators.
     reference
-        (n,) readings from which displacements count [m], of `common_reference`; NaN where they
-        count from the mean of the cycle.
+        (n,) of `common_reference` [m].
     """
+    displaced = is_displaced(cycle)
     return BalancedRows(
         cycle.force,
-        cycle.position,
+        cycle.position if displaced else None,
         cycle.layout.enabled,
         a,
-        _from_own_mean(reference, cycle) if is_displaced(cycle) else reference,
+        _from_own_mean(reference, cycle) if displaced else reference,
         cycle.coil_gradient or 0.0,
         cycle.bias_gradient or 0.0,
     )
 
 
-def _from_own_mean(reference: Array, cycle: Cycle) -> Array:
-    """Return (n,) a reference [m], that of the cycle itself where it is NaN."""
-    anew = np.isnan(reference)
-    return np.where(anew, cycle.rest_position, reference) if anew.any() else reference
+# -- groups ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class BlockRows:
-    """Rows of one cycle in a block of groups, no group twice: where they stand, not yet read.
+def row_weights(campaign: Campaign) -> tuple[float, ...]:
+    """Return the weight of a row of each cycle: quieter readings (FORCERR) count for more.
 
-    Attributes
-    ----------
-    cycle_index, row
-        The cycle, and (m,) rows of its MEASUREMENTS.
-    at
-        (m,) their groups, from the first of the block.
-    hour
-        (m,) hours since the mean of all cycles.
-    sampled
-        (m,) whether their deviations are kept.
-    printed
-        (m,) their labels, SHAPE times SIGN, where prints are taken of them; else 0.
-    weight
-        Of a row.
-    balanced
-        What reads them.
+    In units of `WEIGHED_NOISE`; 1 for all if one of the files declares no noise, since it could be
+    anything.
     """
-
-    cycle_index: int
-    row: NDArray[np.int64]
-    at: slice | NDArray[np.int64]
-    hour: Array
-    sampled: NDArray[np.bool_]
-    printed: NDArray[np.int64]
-    weight: float
-    balanced: BalancedRows
-
-    @property
-    def where(self) -> slice | NDArray[np.int64]:
-        """The (m,) rows, as a slice where they follow each other."""
-        row = self.row
-        follow = bool((np.diff(row) == 1).all())
-        return slice(int(row[0]), int(row[-1]) + 1) if follow and row.size else row
-
-    def read(self) -> tuple[Array, Array | None, Array]:
-        """Return (m, n) c (1 + COILGRAD z) [N], (m, 3) A (BIASGRAD z) or None, and c of prints.
-
-        Prints are of what was read: with displacements put to use no row repeats to the last bit.
-        """
-        raw, position = self.balanced.read(self.where)
-        return *self.balanced.of(raw, position), raw[self.printed != 0]
-
-    def without(self, lost: NDArray[np.bool_]) -> BlockRows:
-        """Return the rows that are not (m,) lost."""
-        at = np.arange(len(lost)) if isinstance(self.at, slice) else self.at
-        return self.only(~lost, at[~lost])
-
-    def only(self, some: slice | NDArray[np.bool_], at: slice | NDArray[np.int64]) -> BlockRows:
-        """Return some of the rows, which have (m,) groups ``at``."""
-        return replace(
-            self,
-            row=self.row[some],
-            at=at,
-            hour=self.hour[some],
-            sampled=self.sampled[some],
-            printed=self.printed[some],
-        )
+    if not all(cycle.force_error for cycle in campaign.cycles):
+        return (1.0,) * len(campaign.cycles)
+    return tuple((WEIGHED_NOISE / (cycle.force_error or 1.0)) ** 2 for cycle in campaign.cycles)
 
 
-@dataclass(frozen=True, eq=False)
-class DistinctRows:
-    """Rows of a cycle in none of which a group stands twice, in the order of their (m,) groups."""
+def row_hours(campaign: Campaign) -> tuple[Array, ...]:
+    """Return for each cycle (N,) hours of its rows that count, since the mean of all cycles."""
+    first = min(cycle.date for cycle in campaign.cycles)
+    times = [
+        (cycle.date - first).total_seconds() / 3600 + cycle.time[cycle.valid] / 3600
+        for cycle in campaign.cycles
+    ]
+    mean = np.mean([time.mean() for time in times])
+    return tuple(time - mean for time in times)
 
-    rows: BlockRows
-    group: NDArray[np.int64]
 
-    def within(self, block: slice) -> BlockRows | None:
-        """Return the rows of a block of groups; None where none stands in it."""
-        first, end = self.group.searchsorted((block.start, block.stop)).tolist()
-        if first == end:
-            return None
-        whole = end - first == block.stop - block.start
-        at = slice(None) if whole else self.group[first:end] - block.start  # a slice: no copy
-        return self.rows.only(slice(first, end), at)
+def row_groups(
+    campaign: Campaign,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], list[NDArray[np.int64]]]:
+    """Return the groups of a campaign's rows.
+
+    Returns
+    -------
+    labels, first, groups
+        (g, 3) index of the load, SHAPE, SIGN; sorted. (g,) first row, of all that count. For each
+        cycle, (N,) group of its rows that count.
+    """
+    names = [
+        np.column_stack([np.full(np.count_nonzero(c.valid), k), c.shape[c.valid], c.sign[c.valid]])
+        for c, k in zip(campaign.cycles, campaign.load_index, strict=True)
+    ]
+    whole, ends = np.concatenate(names), np.cumsum([len(name) for name in names])[:-1]
+    span = int(whole[:, 1].max()) + 1
+    if span > MAX_SHAPE_CODE:  # shapes may be numbered at will
+        _, first, group = np.unique(whole, axis=0, return_index=True, return_inverse=True)
+    else:
+        codes = 2 * (span * whole[:, 0] + whole[:, 1]) + (whole[:, 2] > 0)
+        _, first, group = np.unique(codes, return_index=True, return_inverse=True)
+    return whole[first], first, np.split(group.ravel(), ends)
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Yield sets of the (N,) rows in none of which a group stands twice; mostly one of all rows."""
+    """Yield sets of the (N,) rows, each with at most one row of a group; mostly one of all rows."""
     rest = np.argsort(group, kind="stable")
     while rest.size:
         first = np.concatenate([[True], np.diff(group[rest]) > 0])

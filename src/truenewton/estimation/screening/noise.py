@@ -22,8 +22,8 @@ from truenewton.chance import chi2_sf, f_sf
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.paper.identifiability import MIN_REPEATS
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.readings.repeats import WEIGHED_NOISE
 from truenewton.estimation.readings.rounding_steps import hidden_variance
+from truenewton.estimation.readings.rows import WEIGHED_NOISE
 from truenewton.records.campaign import Campaign
 
 
