@@ -16,9 +16,8 @@ from truenewton.calibration.methods import calibrate
 from truenewton.chance import OF_EACH_KIND
 from truenewton.estimation.effects import score_test
 from truenewton.estimation.effects.catalogue import CATALOGUE
-from truenewton.estimation.effects.correction import correction
 from truenewton.estimation.effects.derivative import FittedRows, scored, variance_at_least
-from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.estimation.effects.examination import chi2_probability, correction
 from truenewton.estimation.effects.score_test import unknown_force
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
@@ -156,7 +155,7 @@ def test_the_score_that_noise_alone_makes_is_as_computed(name, pooled):
     """
     order, step = (0, 1, 1, 1, 1), 1e-4
     quiet = fit_of(SmallBench(30, 1e-7, order=order).campaign(), pooled=pooled)
-    noise, off, feigned = 0.15, [], []
+    noise, off, spurious = 0.15, [], []
 
     def score(problem, moments, values):
         fit = FittedRows(problem, moments, replace(quiet.minimum, values=values), True)
@@ -177,8 +176,8 @@ def test_the_score_that_noise_alone_makes_is_as_computed(name, pooled):
             up, down = (end.score - at.score for _, at, end in ends)
             change[:, k] = (up - down) / (2 * step)
         off.append(change - (result.moves @ information)[:, :14])  # M_te - D_te
-        feigned.append(derivative.feigns()[0])
-    direction = np.mean(feigned, axis=0)
+        spurious.append(derivative.spurious()[0])
+    direction = np.mean(spurious, axis=0)
     size = np.linalg.norm(direction)
     along = np.sum(off * direction, axis=(1, 2)) / size
     error = np.std(along) / np.sqrt(len(along))

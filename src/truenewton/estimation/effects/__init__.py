@@ -1,10 +1,9 @@
-"""What a bench does beside the model: named where data show it, taken out where that cures them.
+"""Bench effects beyond the model: named if the data contain them, corrected if the fit then holds.
 
 derivative    a fit, and the derivative, score and information of an effect
-readings      effects on readings, also of single actuators
+fields        effects on readings, summed over blocks of actuators
 catalogue     the effects
-score_test    is one there?
-correction    taken out of the data, its size estimated with alpha
-examination   a fit examined: what is named, what is taken out, what is left
-undetectable  what two loads cannot show, and what it would do to the common scale
+score_test    tests of their significance
+examination   which effects are named, which are taken out, and what is left
+undetectable  effects that two loads cannot show, and their influence on the common scale
 """

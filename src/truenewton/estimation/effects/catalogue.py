@@ -1,7 +1,7 @@
-"""The catalogue of effects: what a bench does beside the model, each nothing but a derivative.
+"""The catalogue of effects of the bench that the model does not contain, each a derivative.
 
-An effect is a function of a fit to its derivative, or None where the data say nothing of it. To add
-one, write the function, and list it in `CATALOGUE`.
+An effect is a function of a fit that returns its derivative, or None if the data contain no
+information on it. To add one, write the function, and list it in `CATALOGUE`.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.estimation.effects.derivative import Derivative, FittedRows, OfEach
-from truenewton.estimation.effects.readings import (
+from truenewton.estimation.effects.fields import (
     Field,
     FieldSums,
-    Sizes,
     derivative_of,
     field_sums,
     from_mean,
@@ -29,8 +28,8 @@ from truenewton.estimation.findings.code import Code
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
 
-# By which rows of one group differ.
-WITHIN = {
+# Effects by which rows of one group differ.
+WITHIN_GROUPS = {
     Code.GAIN_BY_HOUR,
     Code.GAIN_BY_HOUR_OF_EACH,
     Code.GAIN_BY_FILE,
@@ -41,26 +40,27 @@ WITHIN = {
     Code.ZERO_BY_FILE_OF_EACH,
     Code.LOAD_REPOSITIONED,
 }
-MAX_AFFECTED_FRACTION = 0.1  # of the actuators: beyond it is no matter of single ones
+MIN_FILES = 3  # files that effects by file need
+MAX_AFFECTED_FRACTION = 0.1  # of the actuators: if more stand out, it is no effect of single ones
 ACTUATORS_AT_ONCE = 64  # actuators whose parameters are judged together
 
 
 @dataclass(frozen=True)
 class Effect:
-    """What a bench may do beside the model.
+    """An effect that the model does not contain.
 
     Attributes
     ----------
     code, unit
-        What it is; of its parameters.
+        Of the finding, and of the parameters.
     derivative
-        Of a fit; None where the data say nothing of the effect.
+        Of a fit; None if the data contain no information on the effect.
+    remedy
+        What the user can do about it, or a function of the fit that returns it.
     of
         What its parameters belong to: '' (all together), 'file', 'load', 'actuator', 'axis'.
-    remedy
-        What the user can do about it, or a function of the fit that says so.
     corrected
-        Whether it is taken out of the data of a fit where that cures them; else it is said.
+        Whether it is taken out of the data of a fit if that makes it fit; otherwise it is named.
     """
 
     code: Code
@@ -73,27 +73,26 @@ class Effect:
     @property
     def within(self) -> bool:
         """Whether rows of one group differ by it."""
-        return self.code in WITHIN
+        return self.code in WITHIN_GROUPS
 
     @property
     def name(self) -> str:
-        """How it reads."""
+        """Its name for people."""
         return ENTRIES[self.code].name
 
     def remedy_of(self, fit: FittedRows) -> str:
-        """Return what the user can do, given what the files hold already."""
+        """Return what the user can do, which may depend on what the files contain."""
         return self.remedy if isinstance(self.remedy, str) else self.remedy(fit)
 
 
-def _files(within: WithinGroups) -> slice:
-    return slice(0, len(within.weight))
+# -- fields that several effects share ------------------------------------------------------------
 
 
 def _gain(fit: FittedRows) -> Field:
     """Return g = -c^ h, h by file, by hour (both also of each actuator) and by load.
 
-    The h of a load is 1 under it, less its mean over all rows: alpha stays that of the whole
-    campaign.
+    The h of a load is 1 under it, less its mean over all rows, so that alpha stays that of the
+    whole campaign.
     """
     of_load, weight = fit.moments.of_load, fit.moments.weight
     loads = (of_load - weight @ of_load / weight.sum()).T[1:]
@@ -123,8 +122,8 @@ def _displacement(fit: FittedRows) -> Field:
 FIELDS: dict[str, Callable[[FittedRows], Field]] = {
     "gain": _gain,
     "zero": _zero,
-    "power 2": partial(_bend, bent=np.square),
-    "power 3": partial(_bend, bent=lambda c: c * c * c),
+    "square": partial(_bend, bent=np.square),
+    "cube": partial(_bend, bent=lambda c: c * c * c),
     "displacement": _displacement,
 }
 
@@ -142,82 +141,85 @@ def _sums(fit: FittedRows, name: str) -> FieldSums:
     return found
 
 
-def by_hour(fit: FittedRows, field: str, *, each: bool) -> Derivative | None:
-    """Let alpha drift (`_gain`: g = -c^ h, h the hours) or the zero (g = h), of all or of each.
+# -- effects on readings --------------------------------------------------------------------------
 
-    Zeros of the readings or bias magnets, no balance tells: readings and B move together.
+
+def _files(within: WithinGroups) -> slice:
+    return slice(0, len(within.weight))
+
+
+def by_hour(fit: FittedRows, field: str, *, each: bool) -> Derivative | None:
+    """Return a drift of alpha (field 'gain': g = -c^ h, h the hours) or of the zero (g = h).
+
+    A zero of the readings cannot be distinguished from bias magnets: readings and B move together.
     """
     within = fit.moments.within
     if not np.any(within.square > 0):
         return None
     files = len(within.weight)
-    return derivative_of(fit, _sums(fit, field), Sizes(slice(files, files + 1), each))
+    return derivative_of(fit, _sums(fit, field), slice(files, files + 1), each=each)
 
 
 def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
-    """Let alpha differ from file to file, of all together or of those that stand out: g = -c^."""
+    """Return alpha that differs between files, of all or of those that stand out: g = -c^."""
     within = fit.moments.within
-    if len(within.weight) < 3:
+    if len(within.weight) < MIN_FILES:
         return None
     gain, files, mix = _sums(fit, "gain"), _files(within), from_mean(within.weight.sum(axis=1))
     if not single:
-        return derivative_of(fit, gain, Sizes(files, mix=mix))
+        return derivative_of(fit, gain, files, mix=mix)
     affected = fit.affected
     if affected is None:
         affected = standing_out(gain, files, mix)
         if not 0 < affected.size <= max(1, MAX_AFFECTED_FRACTION * fit.problem.n):
             return None
-    return derivative_of(fit, gain, Sizes(files, True, mix, affected))
+    return derivative_of(fit, gain, files, each=True, mix=mix, actuators=affected)
 
 
 def gain_by_load(fit: FittedRows) -> Derivative | None:
-    """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart."""
+    """Return alpha, or shapes, that differ between loads: only POSITION distinguishes these."""
     if len(fit.moments.loads) < 2:
         return None
     gain = _sums(fit, "gain")
-    return derivative_of(fit, gain, Sizes(slice(gain.field.within, len(gain.score))))
+    return derivative_of(fit, gain, slice(gain.field.within, len(gain.score)))
 
 
-def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """Move the zero of the readings from file to file, of all alike or of each."""
-    within = fit.moments.within
-    if len(within.weight) < 3:
-        return None
-    return derivative_of(fit, _sums(fit, "zero"), Sizes(_files(within), each))
+def zero_by_file(fit: FittedRows, *, each: bool, at_rest: bool = False) -> Derivative | None:
+    """Return zeros of the readings that differ between files, the same for all or of each.
 
-
-def load_repositioned(fit: FittedRows) -> Derivative | None:
-    """Move forces at rest from file to file, but not their sum: a load stands elsewhere.
-
-    As the zeros of each, less the direction that moves the sum: with it the scale would be lost.
+    With ``at_rest`` without the direction that changes the sum of the forces: a load was put on at
+    another place. With this direction the scale would be lost.
     """
     within = fit.moments.within
-    if len(within.weight) < 3:
+    if len(within.weight) < MIN_FILES:
         return None
-    sizes = Sizes(_files(within), each=True, direction=fit.scaled_arms[0])
-    return derivative_of(fit, _sums(fit, "zero"), sizes)
-
-
-def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
-    """Bend the coils: g = -c^2 or -c^3, of all alike or of each."""
-    return derivative_of(fit, _sums(fit, f"power {power}"), Sizes(each=each))
+    direction = fit.scaled_arms[0] if at_rest else None
+    return derivative_of(fit, _sums(fit, "zero"), _files(within), each=each, direction=direction)
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
-    """Change the force of coils with the displacement z beside COILGRAD: g = -c^ z."""
+    """Return a gradient of the force of coils besides COILGRAD: g = -c^ z."""
     if fit.moments.displacement is None:
         return None
-    return derivative_of(fit, _sums(fit, "displacement"), Sizes())
+    return derivative_of(fit, _sums(fit, "displacement"))
+
+
+def of_field(fit: FittedRows, field: str, *, each: bool) -> Derivative:
+    """Return non-linear coils: g = -c^2 (field 'square') or -c^3 ('cube'), of all or of each."""
+    return derivative_of(fit, _sums(fit, field), each=each)
+
+
+# -- effects on the balance and on the arms -------------------------------------------------------
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:
-    """Change the force of bias magnets with z beside BIASGRAD: A z in the balance."""
+    """Return a gradient of the force of bias magnets besides BIASGRAD: A z in the balance."""
     z = fit.moments.displacement
     return None if z is None else on_balance(fit, (z @ fit.problem.a.T)[:, :, None])
 
 
 def weight_of_load(fit: FittedRows) -> Derivative | None:
-    """Let the weight of a load be another than declared; two loads say nothing of that."""
+    """Return a weight of each load that differs from the declared; this needs three loads."""
     of_load = fit.moments.of_load
     if of_load.shape[1] < 3:
         return None
@@ -225,7 +227,7 @@ def weight_of_load(fit: FittedRows) -> Derivative | None:
 
 
 def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
-    """Touch the mirror in shapes of one sign: a force and two moments."""
+    """Return a contact of the mirror in shapes of one sign: a force and two torques."""
     positive = np.asarray(fit.moments.labels[:, 2] > 0, dtype=np.float64)
     h = fit.moments.of_load * positive[:, None] if by_load else positive[:, None]
     if np.ptp(fit.moments.labels[:, 2]) == 0:
@@ -235,7 +237,7 @@ def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
 
 
 def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
-    """Move actuators off their coordinates: e_x and e_y times alpha c^, for each of some."""
+    """Return errors of the coordinates of some actuators: e_x and e_y times alpha c^ of each."""
     n, alpha, rows = fit.problem.n, fit.alpha[some], fit.fitted_rows[:, some]
     count, b = rows.shape
     arms = np.zeros((3, 2, b))
@@ -243,13 +245,13 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
     pulled = np.tensordot(fit.root, arms, axes=1)
     pull = fit.white_rho.reshape(-1, 3).T @ rows
 
-    def feigns() -> tuple[Array, Array]:
+    def spurious() -> tuple[Array, Array]:
         s_inverse, covariance = fit.root.T @ fit.root, fit.noise_covariance(some)
         by_alpha = (s_inverse @ fit.problem.a)[1:]  # e_x, e_y by the arms
-        feigned = count * alpha[None, :, None] * by_alpha[:, None, :] * covariance
+        on_alpha = count * alpha[None, :, None] * by_alpha[:, None, :] * covariance
         between = count * np.outer(alpha, alpha) * covariance[:, some]
         own = s_inverse[1:, None, 1:, None] * between[None, :, None, :]
-        return feigned.reshape(2 * b, n), own.reshape(2 * b, 2 * b)
+        return on_alpha.reshape(2 * b, n), own.reshape(2 * b, 2 * b)
 
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
         moved = np.zeros((3, n))
@@ -266,19 +268,19 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
             whole=(np.sum(pulled**2, axis=0) * np.einsum("ri,ri->i", rows, rows)).ravel(),
             parts=lambda: parts_of_positions(fit),
         ),
-        feigns=feigns,
+        spurious=spurious,
     )
 
 
 def parts_of_positions(fit: FittedRows) -> Iterator[Derivative]:
-    """Yield the derivatives by the positions of some actuators after the other."""
+    """Yield the derivatives by the positions of a few actuators at a time."""
     n = fit.problem.n
     for start in range(0, n, ACTUATORS_AT_ONCE):
         yield positions(fit, slice(start, min(start + ACTUATORS_AT_ONCE, n)))
 
 
 def on_balance(fit: FittedRows, change: Array) -> Derivative:
-    """Return the derivative of an effect that adds (g, 3, k) to the balance of each group."""
+    """Return an effect that adds (g, 3, k) to the balance of each group."""
     groups, _, k = change.shape
     jacobian = fit.moments.pooling.rows(change.reshape(groups, 3 * k)).reshape(-1, 3, k)
 
@@ -315,11 +317,11 @@ def _by_load(fit: FittedRows) -> str:
 ZEROS_OF_EACH = Effect(
     Code.ZERO_BY_FILE_OF_EACH, "N", partial(zero_by_file, each=True), _ZERO, "file"
 )
-# What zeros of each are found to be where they leave the sums of the forces alone.
+# Zeros of each actuator are this if they do not change the sums of the forces.
 LOAD_REPOSITIONED = Effect(
     Code.LOAD_REPOSITIONED,
     "N",
-    load_repositioned,
+    partial(zero_by_file, each=True, at_rest=True),
     "put loads on at the same place each time",
     "file",
 )
@@ -341,11 +343,11 @@ CATALOGUE: tuple[Effect, ...] = (
            "actuator"),
     Effect(Code.ZERO_BY_FILE, "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,
-    Effect(Code.QUADRATIC_COIL, "1/N", partial(power_of_force, power=2, each=False), _QUADRATIC),
-    Effect(Code.QUADRATIC_COIL_OF_EACH, "1/N", partial(power_of_force, power=2, each=True),
+    Effect(Code.QUADRATIC_COIL, "1/N", partial(of_field, field="square", each=False), _QUADRATIC),
+    Effect(Code.QUADRATIC_COIL_OF_EACH, "1/N", partial(of_field, field="square", each=True),
            _QUADRATIC, "actuator"),
-    Effect(Code.CUBIC_COIL, "1/N2", partial(power_of_force, power=3, each=False), _CUBIC),
-    Effect(Code.CUBIC_COIL_OF_EACH, "1/N2", partial(power_of_force, power=3, each=True), _CUBIC,
+    Effect(Code.CUBIC_COIL, "1/N2", partial(of_field, field="cube", each=False), _CUBIC),
+    Effect(Code.CUBIC_COIL_OF_EACH, "1/N2", partial(of_field, field="cube", each=True), _CUBIC,
            "actuator"),
     Effect(Code.COIL_GRADIENT, "1/m", coil_gradient,
            partial(_gradient, keyword="COILGRAD", declared="coil_gradient")),

@@ -1,18 +1,18 @@
-"""What an effect is: how readings, the load or the arms change with it, and what follows of that.
+"""Effects: how readings, the load or the arms change with them, and their score and information.
 
-With theta the parameters of an effect and g = dc/dtheta what it does to readings at fixed true
-forces, the balance of pooled rows (`pooling`) and what they leave of the means change by
+With theta the parameters of an effect and g = dc/dtheta its change of the readings at fixed true
+forces, the balance of pooled rows (`moments.Pooling`) and the residual of the means change by
 
-    J = -A diag(alpha) U' r g,        g_R = g - U U' r g,
+    J = -A diag(alpha) U' r g,        g_R = g - U U' r g.
 
-an effect on the load or on the arms gives J alone. With rho and S of the fit, s^2 the noise of a
+An effect on the load or on the arms gives J alone. With rho and S of the fit, s^2 the noise of a
 reading, e the unknowns of the fit and H, D as in `likelihood`:
 
     score          U_t = sum J' S^-1 rho - sum r g_R (c - U y) / s^2
     information    M_tt = sum J' S^-1 J + sum r g_R^2 / s^2,      M_te = sum J' S^-1 J_e
     at the fit     B = (M_te - D_te) H^-1,      V = M_tt - M_te B' - B M_et + B M B'
 
-V is the covariance of U_t, and alpha and the rest move by -B' theta.
+V is the covariance of U_t, and alpha and the other unknowns move by -B' theta.
 """
 
 from __future__ import annotations
@@ -33,6 +33,12 @@ from truenewton.estimation.paper.equations import imbalance_covariance
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments
 
+NEGLIGIBLE_NOISE_SHARE = 1e-3  # share of D in terms of H, below which it is not worth its products
+
+Some = slice | NDArray[np.intp]
+"""Some of the actuators."""
+Removal = Callable[[Problem, Moments, Array], tuple[Problem, Moments]]
+
 
 @dataclass(frozen=True, eq=False)
 class FittedRows:
@@ -43,14 +49,14 @@ class FittedRows:
     problem, moments, minimum
         What was fitted.
     independent
-        Whether readings are independent of each other, so that what pooled rows leave of the means
-        tells of effects as well.
+        Whether readings are independent of each other, so that the residual of the means also
+        contains information on effects.
     removed
-        (g, n) what an effect that is being taken out added to the readings [N].
+        (g, n) contribution to the readings of an effect that is being taken out [N].
     affected
-        Indices of the actuators whose effect that is, where it is that of single ones.
+        Indices of the actuators that this effect concerns, if only some.
     found
-        What several effects do to readings, by their field, once found.
+        Sums over readings that several effects share, by the name of their field.
     """
 
     problem: Problem
@@ -78,9 +84,16 @@ class FittedRows:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(s + self.problem.disturbance)))
 
     @cached_property
+    def white_arms(self) -> Array:
+        """(3, n) S^-1/2 A."""
+        return np.asarray(self.root @ self.problem.a)
+
+    @cached_property
     def share(self) -> Array:
         """(R, L) how much of each load a row carries."""
         return self.moments.pooling.rows(self.moments.of_load)
+
+    # -- rows at the fit
 
     @cached_property
     def rho(self) -> Array:
@@ -110,9 +123,14 @@ class FittedRows:
         rows -= self.rho @ self._p
         return rows
 
-    def fitted(self, some: slice | NDArray[np.intp] = slice(None)) -> Array:
-        """Return (g, b) the same of every group, of some actuators [N]."""
+    def fitted(self, some: Some = slice(None)) -> Array:
+        """Return (g, b) c^ of every group, of some actuators [N]."""
         return self.moments.pooling.groups(self.fitted_rows[:, some])
+
+    def recorded(self, some: Some, fitted: Array | None = None) -> Array:
+        """Return (g, b) c^ as recorded, with what is being taken out: coils bend by that [N]."""
+        fitted = self.fitted(some) if fitted is None else fitted
+        return fitted if isinstance(self.removed, float) else fitted + self.removed[:, some]
 
     @cached_property
     def _group_rho(self) -> Array:
@@ -120,8 +138,10 @@ class FittedRows:
         return self.moments.pooling.groups(self.rho)
 
     def apart(self, some: slice, fitted: Array) -> Array:
-        """Return (g, b) what pooled rows leave of the means, c - U y [N], y = c^ + P rho."""
+        """Return (g, b) the residual of the means, c - U y [N], y = c^ + P rho."""
         return np.asarray(self.moments.mean[:, some] - fitted - self._group_rho @ self._p[:, some])
+
+    # -- noise that fitted readings still contain
 
     @cached_property
     def taken(self) -> Array:
@@ -129,44 +149,36 @@ class FittedRows:
         noise = self.problem.noise
         return np.asarray(np.sqrt(noise.share) * (self.root @ (self.scaled_arms * noise.variance)))
 
-    def recorded(self, some: slice | NDArray[np.intp], fitted: Array | None = None) -> Array:
-        """Return (g, b) c^ as recorded, with what is being taken out: coils bend by that [N]."""
-        fitted = self.fitted(some) if fitted is None else fitted
-        return fitted if isinstance(self.removed, float) else fitted + self.removed[:, some]
-
-    def noise_covariance(self, some: slice | NDArray[np.intp]) -> Array:
-        """Return (b, n) V of the noise that fitted rows carry still, of some actuators [N^2]."""
+    def noise_covariance(self, some: Some) -> Array:
+        """Return (b, n) V of the noise in fitted rows, of some actuators [N^2]."""
         rows = np.arange(self.problem.n)[some]
         covariance = np.asarray(-self.taken[:, some].T @ self.taken)
         covariance[np.arange(len(rows)), rows] += self.problem.noise.variance[some]
         return covariance
 
-    def feigned_by_each(self, some: slice | NDArray[np.intp]) -> Array:
+    def spurious_by_each(self, some: Some) -> Array:
         """Return (b, n) alpha_i (A' S^-1 A)_ij V_ij of some actuators i."""
         gram = self.white_arms[:, some].T @ self.white_arms
         return np.asarray(self.alpha[some, None] * gram * self.noise_covariance(some))
 
     @cached_property
-    def feigned_by_all(self) -> Array:
-        """(n,) the same summed over i: of matrices of rank 3, but for a diagonal."""
+    def spurious_by_all(self) -> Array:
+        """(n,) the same summed over i: products of matrices of rank 3, and a diagonal."""
         white, taken = self.white_arms, self.taken
         both = (self.alpha * white) @ taken.T
         each = self.alpha * np.sum(white**2, axis=0) * self.problem.noise.variance
         return np.asarray(each - np.sum(white * (both @ taken), axis=0))
 
+    # -- the unknowns of the fit
+
     @cached_property
     def free(self) -> int:
-        """How many unknowns are free."""
+        """Number of free unknowns."""
         prior = self.problem.prior
         return len(self.minimum.values) - (prior.measured if prior.held else 0)
 
     @cached_property
-    def white_arms(self) -> Array:
-        """(3, n) S^-1/2 A."""
-        return np.asarray(self.root @ self.problem.a)
-
-    @cached_property
-    def white_beside(self) -> Array:
+    def _white_beside(self) -> Array:
         """(L, 3, free - n) S^-1/2 dk/dpsi of each load."""
         nuisance = self.problem.data(self.moments)[0].nuisance
         return np.asarray(self.root @ nuisance[:, :, : self.free - self.problem.n])
@@ -177,7 +189,7 @@ class FittedRows:
         n = self.problem.n
         jacobian = np.empty((len(self.fitted_rows), 3, self.free))
         np.multiply(self.white_arms[None], self.fitted_rows[:, None], out=jacobian[:, :, :n])
-        jacobian[:, :, n:] = np.tensordot(self.share, self.white_beside, axes=1)
+        jacobian[:, :, n:] = np.tensordot(self.share, self._white_beside, axes=1)
         return jacobian.reshape(-1, self.free)
 
     def cross(self, white: Array) -> Array:
@@ -188,7 +200,17 @@ class FittedRows:
         on_rows = (white.reshape(count, 3 * k).T @ self.fitted_rows).reshape(3, k, n)
         np.einsum("akn,an->kn", on_rows, self.white_arms, out=cross[:, :n])
         on_loads = (white.reshape(count, 3 * k).T @ self.share).reshape(3, k, -1)
-        cross[:, n:] = np.einsum("akl,lau->ku", on_loads, self.white_beside)
+        cross[:, n:] = np.einsum("akl,lau->ku", on_loads, self._white_beside)
+        return cross
+
+    def cross_of_each(self, of_each: OfEach, rows: Array, pulled: Array) -> Array:
+        """Return (k, free) the same of parameters of each actuator, S^-1/2 times their arms."""
+        n, times = self.problem.n, pulled.shape[1] // rows.shape[1]
+        cross = np.empty((len(of_each.score), self.free))
+        fitted = np.tile(rows.T @ self.fitted_rows, (times, 1))
+        np.multiply(pulled.T @ self.white_arms, fitted, out=cross[:, :n])
+        share = np.tile(rows.T @ self.share, (times, 1))
+        cross[:, n:] = np.einsum("kl,ak,lau->ku", share, pulled, self._white_beside, optimize=True)
         return cross
 
     @cached_property
@@ -211,26 +233,21 @@ class FittedRows:
         return np.asarray(dtrmm(1.0, self._inverse_factor, half, lower=True, trans_a=1))
 
 
-NEGLIGIBLE_NOISE_SHARE = 1e-3  # share of D in terms of H, below which it is not worth its products
-
-Removal = Callable[[Problem, Moments, Array], tuple[Problem, Moments]]
-
-
 @dataclass(frozen=True, eq=False)
 class OfEach:
-    """J of k parameters that belong to one actuator each: arms and rows multiplied by elements.
+    """J of k parameters that belong to one actuator each: products of arms and rows.
 
     Attributes
     ----------
     arms
         (3, k).
     rows
-        Makes (R, k), or (R, k / 2) where x and y have the same: only where they are needed, as they
-        are as large as the readings.
+        Makes (R, k), or (R, k / 2) if x and y have the same: only when needed, as it is as large as
+        the readings.
     score, whole
         (k,) sum of J' S^-1 rho, and the diagonal of the sum of J' S^-1 J.
     parts
-        Makes the derivatives of the parameters of some actuators after the other.
+        Makes the derivatives of the parameters of a few actuators at a time.
     """
 
     arms: Array
@@ -242,7 +259,7 @@ class OfEach:
 
 @dataclass(frozen=True, eq=False)
 class Derivative:
-    """What k parameters of an effect do at a fit.
+    """The derivative of a fit with respect to k parameters of an effect.
 
     Attributes
     ----------
@@ -251,20 +268,20 @@ class Derivative:
     remove
         Takes an effect of (k,) parameters out of the data.
     jacobian
-        (R, 3, k) J; None where each actuator has parameters of its own.
+        (R, 3, k) J; None if each actuator has parameters of its own.
     of_each
         J of these.
     score, information
-        (k,) and (k, k) of what pooled rows leave, structure, 0 where an effect says nothing of it;
-        where each actuator has K parameters (K, K, n), as those of different ones share nothing.
-    feigns
-        Makes (k, n) D_te on alpha and (k, k) D_tt; None where noise of fitted readings feigns
-        nothing.
+        (k,) and (k, k) of the residual of the means, 0 if it does not depend on the effect;
+        (K, K, n) if each actuator has K parameters, as those of different ones are independent.
+    spurious
+        Makes (k, n) D_te on alpha and (k, k) D_tt; None if noise of fitted readings does not bias
+        the score.
     actuators
-        Whose the parameters are, over and over; None where of all, or of none.
+        Indices of the actuators that have parameters; None if all, or if parameters are shared.
     direction
-        (n,) of (K, n) parameters of each actuator, along which they do nothing; readings without a
-        gain alone may have one.
+        (n,) of (K, n) parameters of each actuator, along which nothing changes; only without
+        ``spurious``.
     """
 
     count: int
@@ -273,13 +290,13 @@ class Derivative:
     of_each: OfEach | None = None
     score: Array | float = 0.0
     information: Array | float = 0.0
-    feigns: Callable[[], tuple[Array, Array | float]] | None = None
+    spurious: Callable[[], tuple[Array, Array | float]] | None = None
     actuators: NDArray[np.intp] | None = None
     direction: Array | None = None
 
 
 def without_direction(values: Array, direction: Array) -> Array:
-    """Return (..., K n) values of parameters of each actuator without those along (n,) sizes."""
+    """Return (..., K n) values of parameters of each actuator, orthogonal to (n,) a direction."""
     unit = direction / np.linalg.norm(direction)
     each = values.reshape(*values.shape[:-1], -1, len(unit))
     return np.asarray((each - (each @ unit)[..., None] * unit).reshape(values.shape))
@@ -289,32 +306,30 @@ def without_direction(values: Array, direction: Array) -> Array:
 class Scored:
     """Score and information of an effect at a fit; k parameters, `free` unknowns of the fit.
 
-    What is made of these is made when it is first asked for.
-
     Attributes
     ----------
     fit
-        Where.
+        The fit.
     score
         (k,) U_t.
     joint
         (k, k) M_tt.
     half
         (free, k) L^-1 (M_te - D_te)', L the Cholesky factor of H.
-    feigned, feigned_information
-        (k, n) D_te on alpha, None where there is none, and (k, k) D_tt.
+    spurious, spurious_information
+        (k, n) D_te on alpha, None if there is none, and (k, k) D_tt.
     """
 
     fit: FittedRows
     score: Array
     joint: Array
     half: Array
-    feigned: Array | None
-    feigned_information: Array | float
+    spurious: Array | None
+    spurious_information: Array | float
 
     @property
     def whole(self) -> Array:
-        """(k,) diagonal of M_tt: what the data would say, were all else known."""
+        """(k,) diagonal of M_tt: the information if all else were known."""
         return np.diag(self.joint).copy()
 
     @cached_property
@@ -333,8 +348,8 @@ class Scored:
 
     @cached_property
     def information(self) -> Array:
-        """(k, k) H_tt - H_te H^-1 H_et: what the data say of the effect, all else being free."""
-        return np.asarray(self.joint - self.feigned_information - self._by_fit)
+        """(k, k) H_tt - H_te H^-1 H_et: information on the effect if all else is free."""
+        return np.asarray(self.joint - self.spurious_information - self._by_fit)
 
     @cached_property
     def variance(self) -> Array:
@@ -345,48 +360,38 @@ class Scored:
             on_alpha, noise = self.moves[:, :n], minimum.noise_information
             less = on_alpha @ noise.root.T
             variance += (on_alpha * noise.diagonal) @ on_alpha.T - less @ less.T
-        if self.feigned is not None:
-            both = self.feigned @ self.moves[:, :n].T
+        if self.spurious is not None:
+            both = self.spurious @ self.moves[:, :n].T
             variance -= both + both.T
         return np.asarray(variance)
 
 
 def scored(fit: FittedRows, derivative: Derivative) -> Scored:
     """Return score and information of an effect."""
-    score, joint, told = _from_balance(fit, derivative)
+    if derivative.jacobian is not None:
+        white = np.einsum("ab,rbk->rak", fit.root, derivative.jacobian, optimize=True)
+        flat = white.reshape(-1, derivative.count)
+        score, joint, cross = flat.T @ fit.white_rho, flat.T @ flat, fit.cross(white)
+    else:
+        of_each = derivative.of_each
+        assert of_each is not None  # one of the two is
+        rows, pulled = of_each.rows(), fit.root @ of_each.arms
+        square = rows.T @ rows
+        score, cross = of_each.score, fit.cross_of_each(of_each, rows, pulled)
+        joint = (pulled.T @ pulled) * np.tile(square, (pulled.shape[1] // len(square),) * 2)
     joint += _of_all(derivative.information)
-    feigned, feigned_information = derivative.feigns() if derivative.feigns else (None, 0.0)
-    if feigned is not None:
-        told[:, : fit.problem.n] -= feigned  # M_te - D_te
+    spurious, spurious_information = derivative.spurious() if derivative.spurious else (None, 0.0)
+    if spurious is not None:
+        cross[:, : fit.problem.n] -= spurious  # M_te - D_te
     score = score + derivative.score
     if derivative.direction is not None:
         left = partial(without_direction, direction=derivative.direction)
-        score, joint, told = left(score), left(left(joint).T), left(told.T).T
-    return Scored(fit, score, joint, fit.half_solved(told), feigned, feigned_information)
-
-
-def _from_balance(fit: FittedRows, derivative: Derivative) -> tuple[Array, Array, Array]:
-    """Return (k,) sum of J' S^-1 rho, (k, k) of J' S^-1 J, and (k, free) M_te."""
-    if derivative.jacobian is not None:
-        k = derivative.count
-        white = np.einsum("ab,rbk->rak", fit.root, derivative.jacobian, optimize=True)
-        flat = white.reshape(-1, k)
-        return flat.T @ fit.white_rho, flat.T @ flat, fit.cross(white)
-    of_each = derivative.of_each
-    assert of_each is not None  # the one or the other
-    rows, pulled = of_each.rows(), fit.root @ of_each.arms
-    n, times = fit.problem.n, pulled.shape[1] // rows.shape[1]
-    cross = np.empty((derivative.count, fit.free))
-    fitted = np.tile(rows.T @ fit.fitted_rows, (times, 1))
-    np.multiply(pulled.T @ fit.white_arms, fitted, out=cross[:, :n])
-    share = np.tile(rows.T @ fit.share, (times, 1))
-    cross[:, n:] = np.einsum("kl,ak,lau->ku", share, pulled, fit.white_beside, optimize=True)
-    whole = (pulled.T @ pulled) * np.tile(rows.T @ rows, (times, times))
-    return of_each.score, whole, cross
+        score, joint, cross = left(score), left(left(joint).T), left(cross.T).T
+    return Scored(fit, score, joint, fit.half_solved(cross), spurious, spurious_information)
 
 
 def _of_all(information: Array | float) -> Array | float:
-    """Return (k, k) information, spread out where it is that of each actuator by itself."""
+    """Return (k, k) information, (K, K, n) that of each actuator spread out."""
     if isinstance(information, float) or information.ndim == 2:
         return information
     k, _, n = information.shape
@@ -396,11 +401,12 @@ def _of_all(information: Array | float) -> Array | float:
 
 
 def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, Array, Array] | None:
-    """Return U_t, the diagonal of M_tt, and what the diagonal of V is at least, (k,) each.
+    """Return U_t, the diagonal of M_tt, and a lower bound of the diagonal of V, (k,) each.
 
-    Of many parameters at a cost of O(n) each. V is what the structure tells, and for the balance a
-    covariance too: its diagonal cannot be less than 0, but for D where that is left out. Where the
-    structure tells nothing V itself, a few actuators at a time. None where neither is to be had.
+    For many parameters, at a cost of O(n) each. V is the information in the residual of the means
+    plus a covariance by the balance, whose diagonal is not negative except for D, which is left
+    out. If the residual contains no information, V itself, a few actuators at a time. None if
+    neither can be computed.
     """
     of_each = derivative.of_each
     if of_each is None or derivative.direction is not None:
@@ -412,10 +418,6 @@ def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, A
     information = derivative.information
     if isinstance(information, float):
         return None
-    told = np.einsum("kkn->kn", information).ravel()
-    whole = of_each.whole + told
-    return (
-        of_each.score + derivative.score,
-        whole,
-        told - 2 * NEGLIGIBLE_NOISE_SHARE * of_each.whole,
-    )
+    of_means = np.einsum("kkn->kn", information).ravel()
+    least = of_means - 2 * NEGLIGIBLE_NOISE_SHARE * of_each.whole
+    return of_each.score + derivative.score, of_each.whole + of_means, least

@@ -1,9 +1,17 @@
-"""A fit examined: which effects the data show, which were taken out, and what is left.
+"""The examination of a fit: which effects the data contain, which are taken out, and what is left.
 
-The likeliest effect is estimated together with alpha, then the catalogue tested again, four times
-at most. It is accepted only if it cures: the balance of the shapes and their repetition over loads
-and signs both fit after it. Of effects about as likely the one with the fewest parameters is taken.
-Where nothing cures, nothing is taken out, and the errors grow by what does not fit.
+The likeliest effect is estimated together with alpha, then the catalogue is tested again, at most
+four times. A correction is accepted only if both the balance of the shapes and their repetition
+over loads and signs fit afterwards. Of similarly likely effects the one with the fewest parameters
+is taken. If no correction makes the data fit, none is taken out, and the errors grow with the
+misfit.
+
+The parameters theta of an effect are unknowns with a normal prior about 0 of spread tau. At every
+theta the data without the effect are fitted as usual (`Derivative.remove`), and theta takes a
+Newton step with its score and information, all else being free. The data determine tau (MacKay
+1992, Neural Computation 4, 415): with C the covariance of theta,
+
+    tau^2 <- sum theta^2 / nu,        nu = sum (1 - C_ii / tau^2).
 """
 
 from __future__ import annotations
@@ -13,13 +21,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chi2_cdf, chi2_sf, f_sf
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.effects.catalogue import LOAD_REPOSITIONED, ZEROS_OF_EACH
-from truenewton.estimation.effects.correction import Correction, correction, with_error
-from truenewton.estimation.effects.derivative import FittedRows
+from truenewton.estimation.effects.catalogue import LOAD_REPOSITIONED, ZEROS_OF_EACH, Effect
+from truenewton.estimation.effects.derivative import FittedRows, scored
 from truenewton.estimation.effects.score_test import (
     EffectTest,
     UnknownForce,
@@ -29,7 +37,7 @@ from truenewton.estimation.effects.score_test import (
     unknown_force,
 )
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import ErrorKind, ScaleError
+from truenewton.estimation.findings.estimate import ErrorKind, NoiseSource, ScaleError
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
@@ -38,29 +46,39 @@ from truenewton.estimation.screening.noise import (
     MIN_FIT_PROBABILITY,
     Noise,
     Structure,
+    reading_noise,
     structure_of,
 )
 from truenewton.records.campaign import Campaign, load_temperatures
 
+MAX_EFFECTS = 4  # effects at once
+MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any imbalance
+MAX_REDUCED_CHI2 = 2.0  # chi^2 over degrees of freedom that unknown forces, not normal, may leave
+MIN_SEEN_SPREAD = 0.5  # of tau^2: the part of a spread of zeros that the data must contain
+SIMILAR_LOG_PROBABILITY = 0.85  # of the log of the smallest probability: similarly likely effects
+MAX_CORRECTED_PARAMETERS = 10_000  # a matrix of which takes 0.8 GB, and several are needed
+SETTLED_SQUARED_STEP = 1e-4  # squared step in standard errors at which theta has converged
+MAX_CORRECTION_STEPS = 30
+
 
 @dataclass(frozen=True, eq=False)
 class ExaminedFit:
-    """What is left after effects were looked for.
+    """A fit after the search for effects.
 
     Attributes
     ----------
     problem, moments, minimum
         The data without the effects that were taken out, and their fit.
     effective_parameters
-        How many of their parameters the balance had to tell.
+        Number of parameters of these that the balance determined.
     effects
-        Those named, the likeliest first.
+        Findings, the likeliest first.
     structure
-        How well shapes repeat over loads and signs; None where that was not asked.
+        How well shapes repeat over loads and signs; None if not tested.
     correlated
-        Whether noise hangs together from row to row, so that shapes may balance too well.
+        Whether noise is correlated from row to row, so that shapes may balance too well.
     explained
-        Whether what was named but not taken out would make it fit.
+        Whether the data fit without an effect that was named but not taken out.
     """
 
     problem: Problem
@@ -89,7 +107,7 @@ class ExaminedFit:
 
     @property
     def too_well(self) -> bool:
-        """Whether the shapes balance better than their noise lets expect."""
+        """Whether the shapes balance better than expected of their noise."""
         return self.freedom > 0 and self.probability > 1.0 - MIN_FIT_PROBABILITY
 
     @property
@@ -104,13 +122,13 @@ class ExaminedFit:
 
     @property
     def excess(self) -> float:
-        """By how much the variance of what is left is larger than the noise says, if at all."""
+        """Ratio of the residual variance to that of the noise, at least 1."""
         balance = self.minimum.chi2 / max(self.freedom, 1.0)
         return max(1.0, balance, self.structure.reduced if self.structure else 1.0)
 
 
 def chi2_probability(chi2: float, freedom: float, noise: Noise) -> float:
-    """Return how often chance makes chi^2 as large, the noise being known only so well."""
+    """Return the probability of a larger chi^2, given how well the noise is known."""
     if freedom <= 0:
         return 1.0
     if np.isinf(noise.share_freedom):
@@ -119,7 +137,7 @@ def chi2_probability(chi2: float, freedom: float, noise: Noise) -> float:
 
 
 def misfit_findings(left: ExaminedFit) -> Iterator[Finding]:
-    """Yield that the model does not fit, and by how much errors grew for it."""
+    """Yield the finding of a misfit, and the factor by which the errors were increased."""
     if left.fits:
         return
     if left.explained:
@@ -131,7 +149,7 @@ def misfit_findings(left: ExaminedFit) -> Iterator[Finding]:
 
 
 def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iterator[Finding]:
-    """Name a temperature that differs between loads by more than the readings leave open."""
+    """Yield a finding if the temperature differs too much between loads."""
     relative = {line.source.kind: line.relative for line in scale_errors}
     if relative.get(ErrorKind.BETWEEN_LOADS, 0.0) <= relative.get(ErrorKind.READINGS, np.inf):
         return
@@ -144,15 +162,6 @@ def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iter
     )
 
 
-MAX_EFFECTS = 4  # effects at once
-MAX_UNKNOWN_FORCES = 2  # actuators at which forces come and go: three can make any imbalance
-# Chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave.
-MAX_REDUCED_CHI2 = 2.0
-MIN_SEEN_SPREAD = 0.5  # of tau^2: so much of a spread of zeros the data must show
-# Of the logarithm of the smallest probability: effects about as likely.
-SIMILAR_LOG_PROBABILITY = 0.85
-
-
 def examined(
     problem: Problem,
     moments: Moments,
@@ -160,21 +169,21 @@ def examined(
     structure: Structure | None,
     samples: Sequence[Array],
 ) -> ExaminedFit:
-    """Look for effects in data and their fit, and take out those that cure.
+    """Return a fit after the search for effects, without those whose correction makes it fit.
 
     Parameters
     ----------
     problem, moments, minimum
         The data, and their fit.
     structure
-        How well shapes repeat over loads and signs; None where nothing tells.
+        How well shapes repeat over loads and signs; None if they do not repeat.
     samples
         Deviations of some rows from their repeats, in parts of (m, n) [N].
     """
     plain = ExaminedFit(problem, moments, minimum)
     if structure is None:
         return plain
-    # What files or hours do to all readings looks like noise that they share, until it is out.
+    # Effects of files or hours on all readings look like shared noise until they are taken out.
     unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)
     alone = replace(problem, noise=unshared, disturbance=0.0)
     if moments.pooled and not problem.dependent:
@@ -183,35 +192,37 @@ def examined(
         start = _pooled(alone, moments, minimum, structure)
     if start is None:
         return plain
-    # Noise that is independent within a row but balances too well hangs together from row to row.
+    # Noise that is independent within a row but balances too well is correlated from row to row.
     start = replace(start, correlated=start.too_well and not problem.dependent)
-    cured, named_first = _cured(start, independent=True, samples=samples, within=problem.dependent)
-    if start.correlated and (cured is None or not cured.effects):
+    done, named_first = _corrected(
+        start, independent=True, samples=samples, within=problem.dependent
+    )
+    if start.correlated and (done is None or not done.effects):
         return _correlated(start, named_first.effects)
-    if cured is not None and (cured.effects or not problem.dependent):
-        return cured
+    if done is not None and (done.effects or not problem.dependent):
+        return done
     if problem.dependent:
         start = replace(plain, structure=structure) if moments.pooled else plain
         before = named_first
-        cured, named_first = _cured(start, independent=False, samples=samples)
-        if cured is not None:
-            return cured
+        done, named_first = _corrected(start, independent=False, samples=samples)
+        if done is not None:
+            return done
         if start.too_well:  # even without what readings of a row share
             if before.effects:
                 named_first = before
             slow = _correlated(start, named_first.effects)
-            return replace(slow, minimum=_unsure(slow, named_first))
+            return replace(slow, minimum=_with_shift(slow, named_first))
     best = plain if plain.fits and not start.fits else start
     if not named_first.effects or not named_first.fits:
         for one in (start, plain):
             forced = _with_unknown_forces(one)
             if forced is not None:
                 return forced
-    # What two readings of the data explain, alpha may be wrong by.
+    # Two explanations of the data differ by what alpha may be wrong by.
     return replace(
         best,
         effects=named_first.effects,
-        minimum=_unsure(best, named_first),
+        minimum=_with_shift(best, named_first),
         explained=bool(named_first.effects) and named_first.fits,
     )
 
@@ -219,7 +230,7 @@ def examined(
 def _pooled(
     problem: Problem, moments: Moments, minimum: Minimum, structure: Structure
 ) -> ExaminedFit | None:
-    """Return the fit to pooled rows, whether shapes repeat so or not; None where there is none."""
+    """Return the fit to pooled rows, whether shapes repeat or not; None if it fails."""
     pooled = replace(moments, pooled=True)
     try:
         fitted = problem.fitted(pooled, minimum.values)
@@ -228,13 +239,13 @@ def _pooled(
     return ExaminedFit(problem, pooled, fitted, structure=structure)
 
 
-def _cured(
+def _corrected(
     start: ExaminedFit, *, independent: bool, samples: Sequence[Array], within: bool = False
 ) -> tuple[ExaminedFit | None, ExaminedFit]:
-    """Take out the likeliest effects until all fits; None where that fails.
+    """Return the fit with the likeliest effects taken out until all fits; None if that fails.
 
-    Also what came of the first effect named, where it could not be taken out. The first is one by
-    which rows of one group differ, what they seemed to share, if ``within``.
+    Also the fit with the first effect named, in case it cannot be taken out. With ``within`` the
+    first is an effect by which rows of one group differ, which looked like shared noise.
     """
     now, first = start, start
     for _ in range(MAX_EFFECTS):
@@ -242,7 +253,7 @@ def _cured(
         if not independent:
             fit = FittedRows(now.problem, now.moments, now.minimum, independent)
         found = named(fit)
-        shared = within and not now.effects  # noise, or what such an effect does
+        shared = within and not now.effects  # noise, or such an effect
         if shared:
             found = beside_shared_noise(found, fit, samples)
         if not found:
@@ -253,7 +264,7 @@ def _cured(
         if force is not None and force.log_probability < found[0].log_probability:
             return _with_unknown_forces(now), first
         after = None
-        for test in _alike(found):
+        for test in _similar(found):
             corrected = correction(fit, test.effect)
             if corrected is None:
                 continue
@@ -275,7 +286,7 @@ def _cured(
 
 
 def _with_unknown_forces(now: ExaminedFit) -> ExaminedFit | None:
-    """Let forces come and go at some actuators until none stands out; None if little fits then."""
+    """Return the fit with unknown forces at some actuators until none stands out; None if poor."""
     found: dict[int, UnknownForce] = {}
     for _ in range(4 * MAX_UNKNOWN_FORCES):  # four times for the size of each
         fit = FittedRows(now.problem, now.moments, now.minimum, independent=False)
@@ -314,9 +325,9 @@ def _with_unknown_forces(now: ExaminedFit) -> ExaminedFit | None:
 
 
 def _correlated(start: ExaminedFit, effects: tuple[Finding, ...]) -> ExaminedFit:
-    """Return the fit to noise that hangs together from row to row, as sure as zeros by file leave.
+    """Return the fit to noise that is correlated from row to row, with the error of zeros by file.
 
-    Where it is slow each file has zeros of its own, which shapes do not feel but statics do.
+    Slow noise gives each file zeros of its own, which cancel in shapes but not in statics.
     """
     moved = correction(start.rows, ZEROS_OF_EACH)
     found = Finding(
@@ -329,13 +340,13 @@ def _correlated(start: ExaminedFit, effects: tuple[Finding, ...]) -> ExaminedFit
     return replace(start, minimum=minimum, effects=(*effects, found))
 
 
-def _unsure(best: ExaminedFit, named_first: ExaminedFit) -> Minimum:
-    """Return the minimum, less sure by what it would move if the effect named were taken out."""
+def _with_shift(best: ExaminedFit, named_first: ExaminedFit) -> Minimum:
+    """Return the minimum with the shift by the named effect added to its covariance."""
     moved = named_first.minimum.values - best.minimum.values
     return with_error(best.minimum, moved[None], np.eye(1))
 
 
-def _alike(found: list[EffectTest]) -> list[EffectTest]:
+def _similar(found: list[EffectTest]) -> list[EffectTest]:
     """Return the likeliest effects, the one with the fewest parameters first; at most four."""
     best = found[0].log_probability
     some = [test for test in found if test.log_probability <= SIMILAR_LOG_PROBABILITY * best][
@@ -347,10 +358,10 @@ def _alike(found: list[EffectTest]) -> list[EffectTest]:
 def _as_mounting(
     fit: FittedRows, test: EffectTest, corrected: Correction
 ) -> tuple[EffectTest, Correction]:
-    """Take zeros that leave the sum of the forces alone for a load that was put on elsewhere.
+    """Return zeros of each actuator as a repositioned load if they leave the sum of forces alone.
 
-    Zeros of their size tau would move the sums by tau |nz alpha| in each file, and so spread the
-    scale: that is believed unless the sums hold still as chance makes it once in a hundred times.
+    Zeros of spread tau would move the sums by tau |nz alpha| in each file, and so spread the scale.
+    This is assumed unless the sums move less than chance would have it once in a hundred times.
     """
     if test.effect is not ZEROS_OF_EACH:
         return test, corrected
@@ -376,7 +387,7 @@ def _after(
     corrected: Correction,
     samples: Sequence[Array],
 ) -> ExaminedFit:
-    """Return what is left after a correction."""
+    """Return the fit after a correction."""
     structure = now.structure
     if structure is not None:
         structure = structure_of(corrected.moments, corrected.problem.noise, samples)
@@ -395,7 +406,7 @@ def _after(
 
 
 def _with_one_more(effects: tuple[Finding, ...], more: Finding) -> tuple[Finding, ...]:
-    """Return effects with one more; of one that was found before, with the size of both."""
+    """Return effects with one more; if it was found before, with the sum of both sizes."""
     before = [effect for effect in effects if effect.code == more.code]
     if not before:
         return (*effects, more)
@@ -404,7 +415,7 @@ def _with_one_more(effects: tuple[Finding, ...], more: Finding) -> tuple[Finding
 
 
 def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> Finding:
-    """Return an effect in words and numbers."""
+    """Return the finding of an effect."""
     campaign, effect = fit.problem.campaign, test.effect
     theta = np.zeros(test.derivative.count) if corrected is None else corrected.theta
     worst = int(np.abs(theta).argmax())
@@ -429,3 +440,83 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
         corrected=corrected is not None and effect.corrected(fit),
         remedy=effect.remedy_of(fit),
     )
+
+
+# -- an effect taken out ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Data without an effect, and the fit to them.
+
+    Attributes
+    ----------
+    theta, covariance, effective_parameters
+        (k,) its parameters, their (k, k) covariance, and nu.
+    problem, moments, minimum
+        The data without it and their fit, whose covariance includes the error of the effect.
+    """
+
+    theta: Array
+    covariance: Array
+    effective_parameters: float
+    problem: Problem
+    moments: Moments
+    minimum: Minimum
+
+
+def correction(fit: FittedRows, effect: Effect) -> Correction | None:
+    """Estimate an effect together with alpha; None if it does not converge, or is too large."""
+    first = effect.derivative(fit)
+    if first is None or first.count > MAX_CORRECTED_PARAMETERS:
+        return None
+    result, theta = scored(fit, first), np.zeros(first.count)
+    # A first spread from the score itself: U U' = V of the effect, on the average.
+    size = np.trace(result.variance) / np.sum(result.variance**2)
+    tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
+    at, derivative, settled = fit, first, False
+    for _ in range(MAX_CORRECTION_STEPS):
+        information = result.information + np.eye(len(theta)) / tau2
+        try:  # an effect without any size does not converge
+            factor = scipy.linalg.cho_factor(0.5 * (information + information.T))
+        except np.linalg.LinAlgError:
+            return None
+        inverse = scipy.linalg.cho_solve(factor, np.eye(len(theta)))
+        uphill = result.score + theta / tau2
+        effective_parameters = float(np.sum(1.0 - np.diag(inverse) / tau2))
+        if settled and float(uphill @ inverse @ uphill) < SETTLED_SQUARED_STEP:
+            minimum = with_error(at.minimum, result.moves, inverse)
+            return Correction(theta, inverse, effective_parameters, at.problem, at.moments, minimum)
+        theta = theta - inverse @ uphill
+        before, tau2 = tau2, max(float(theta @ theta) / max(effective_parameters, 1e-3), 1e-300)
+        settled = abs(np.log(before / tau2)) < 1e-2
+        problem, moments = derivative.remove(fit.problem, fit.moments, theta)
+        problem = _with_new_noise(problem, moments)
+        try:
+            minimum = problem.fitted(moments, at.minimum.values)
+        except (NotConverged, RankDeficient):
+            return None
+        removed = fit.removed + fit.moments.mean - moments.mean
+        at = FittedRows(problem, moments, minimum, fit.independent, removed, first.actuators)
+        again = effect.derivative(at)
+        if again is None:
+            return None
+        derivative, result = again, scored(at, again)
+    return None
+
+
+def _with_new_noise(problem: Problem, moments: Moments) -> Problem:
+    """Return the problem with the noise of repeats without the effect."""
+    if problem.noise.source != NoiseSource.REPEATS:
+        return problem
+    noise = reading_noise(problem.campaign, moments)
+    share, freedom = problem.noise.share, problem.noise.share_freedom
+    return replace(problem, noise=replace(noise, share=share, share_freedom=freedom))
+
+
+def with_error(minimum: Minimum, moves: Array, covariance: Array) -> Minimum:
+    """Return a minimum with B' C B added to its covariance, (k, k) C and (k, free) B."""
+    added = minimum.reading_covariance.copy()
+    t = min(len(added), moves.shape[1])
+    added[:t, :t] += moves[:, :t].T @ covariance @ moves[:, :t]
+    return replace(minimum, reading_covariance=added)

@@ -1,29 +1,28 @@
-"""Is an effect there? One score test for all of the catalogue.
+"""Score tests of the effects of the catalogue.
 
-With U_t and its covariance V of an effect at a fit without it (`derivative`): U' V^-1 U over the
-directions that the data hold, chi^2 of as many degrees of freedom, for few parameters; for many
-U' U, in units that make V's diagonal 1, against tr V chi^2(nu) / nu with nu = (tr V)^2 / tr V^2.
+With U_t and its covariance V of an effect at a fit without it (`derivative`): for few parameters
+U' V^-1 U over the directions that the data constrain is chi^2 of as many degrees of freedom. For
+many parameters, in units that make the diagonal of V 1, U' U is compared with tr V chi^2(nu) / nu,
+nu = (tr V)^2 / tr V^2.
 
-Effects by which rows of one group differ, judged against noise that the readings of a row share.
-
-Such noise pushes the rows of a file one way by chance, and looks like zeros by file. Along the
-direction d of an effect that all actuators share, 1 of zeros, the forces at rest of gains, repeats
-scatter kappa times as much as independent readings would; less what the effect itself explains,
+Noise that the readings of a row share pushes the rows of a file in one direction and looks like
+zeros by file. Effects by which rows of one group differ are therefore compared with it. Along the
+direction d of an effect that all actuators share, 1 for zeros, the forces at rest for gains,
+repeats scatter kappa times as much as independent readings; without what the effect itself explains
 
     T / k against F(k, M - k),        T -> T (M - k) / max(M kappa - T, M - k),
 
-M the rows less the groups. Parameters of each actuator by themselves are as many as are
-independent, (tr C)^2 / tr C^2 in place of n, C the correlations of the readings (`structure`).
+M the rows less the groups. Parameters of each actuator are as many as are independent,
+(tr C)^2 / tr C^2 instead of n, C the correlations of the readings (`noise.structure_of`).
 
-A force that comes and goes at one actuator: friction, dust in its gap, a cable that pulls.
-
-At actuator i, of arms a_i, it adds a_i f_r to the imbalance of every row, f_r unknown. With
+A force that comes and goes at one actuator (friction, dust in its gap, a cable that pulls) adds
+a_i f_r to the imbalance of every row, a_i the arms of the actuator and f_r unknown. With
 u_i = S^-1/2 a_i / |S^-1/2 a_i| the rows S^-1/2 rho have along u_i
 
     T_i = sum (u_i' S^-1/2 rho)^2,      R - u_i' (sum J H^-1 J') u_i  degrees of freedom,
 
-J in terms of S^-1/2. Where one stands out, S + tau^2 a_i a_i' takes the place of S, with tau^2 such
-that T_i is what chance lets expect; so the others are judged without what disturbs that one.
+J in terms of S^-1/2. If one stands out, S + tau^2 a_i a_i' replaces S, with tau^2 such that T_i is
+as expected; so the other actuators are judged without this disturbance.
 """
 
 from __future__ import annotations
@@ -43,31 +42,22 @@ from truenewton.estimation.effects.derivative import (
     scored,
     variance_at_least,
 )
-from truenewton.estimation.effects.readings import chi2_of_each
+from truenewton.estimation.effects.fields import chi2_of_each
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.screening.noise import independent_readings
 
-MAX_EXACT_PARAMETERS = 30  # parameters
-# Parameters of each actuator, beyond which the structure alone tells.
-MAX_PARAMETERS_PER_ACTUATOR = 2
-MIN_INFORMATION_SHARE = 1e-6  # of the information that the data would hold, were all else known
-# The same where readings share noise: c^ is uncorrelated with rho only where that is no noise of
-# the readings, and what this adds to a score stands out in directions hardly seen.
+MAX_EXACT_PARAMETERS = 30  # whose V is inverted
+MAX_PARAMETERS_PER_ACTUATOR = 2  # beyond which only the residual of the means is used
+MIN_INFORMATION_SHARE = 1e-6  # of the information if all else were known
+# The same if readings share noise: c^ is uncorrelated with rho only if rho contains no noise of the
+# readings, and the correlation biases scores in directions on which there is little information.
 MIN_SHARE_WITH_SHARED_NOISE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class EffectTest:
-    """The test of one effect.
-
-    Attributes
-    ----------
-    effect, derivative
-        What was tested.
-    statistic, degrees_of_freedom, log_probability
-        A chi^2, its degrees of freedom, and the logarithm of the chance of a larger one.
-    """
+    """The test of one effect: a chi^2, and the logarithm of the probability of a larger one."""
 
     effect: Effect
     derivative: Derivative
@@ -77,15 +67,15 @@ class EffectTest:
 
 
 def tests(fit: FittedRows) -> list[EffectTest]:
-    """Test the catalogue at a fit, the likeliest effect first; those that no data tell are left."""
+    """Return the tests of the catalogue at a fit, the likeliest effect first."""
     found = [_tested(fit, *pair) for pair in _derivatives(fit)]
     return sorted((test for test in found if test), key=lambda test: test.log_probability)
 
 
 def named(fit: FittedRows) -> list[EffectTest]:
-    """Return the effects that are there; of four hundred sound campaigns one is accused of one.
+    """Return the significant effects, the likeliest first; 1 of 400 sound campaigns has one.
 
-    Of effects with a parameter of each actuator tr V^2 is asked only where tr V leaves a doubt.
+    Of effects with a parameter of each actuator, tr V^2 is computed only if tr V is not sufficient.
     """
     found, sound = [], 0
     for effect, derivative in _derivatives(fit):
@@ -93,35 +83,36 @@ def named(fit: FittedRows) -> list[EffectTest]:
             sound += 1
         elif test := _tested(fit, effect, derivative):
             found.append(test)
-    return there(found, sound)
+    return significant(found, sound)
 
 
-def there(found: Sequence[EffectTest], sound: int = 0) -> list[EffectTest]:
-    """Return those that chance does not make, among so many sound ones, the likeliest first."""
+def significant(found: Sequence[EffectTest], sound: int = 0) -> list[EffectTest]:
+    """Return the significant tests, among a number of insignificant ones, the likeliest first."""
     limit = np.log(-np.expm1(np.log1p(-OF_EACH_KIND) / max(len(found) + sound, 1)))
     chosen = [test for test in found if test.log_probability < limit]
     return sorted(chosen, key=lambda test: test.log_probability)
 
 
 def _derivatives(fit: FittedRows) -> Iterator[tuple[Effect, Derivative]]:
-    z = fit.moments.displacement
-    sum_fields(fit, [name for name in FIELDS if name != "displacement" or z is not None])
+    """Yield the effects on which the data may contain information, and their derivatives."""
+    displaced = fit.moments.displacement is not None
+    sum_fields(fit, [name for name in FIELDS if displaced or name != "displacement"])
     for effect in CATALOGUE:
         derivative = effect.derivative(fit)
         if derivative is not None and derivative.count:
             yield effect, derivative
 
 
-def _blind(fit: FittedRows) -> float:
+def _least_share(fit: FittedRows) -> float:
     return MIN_SHARE_WITH_SHARED_NOISE if np.any(fit.problem.disturbance) else MIN_INFORMATION_SHARE
 
 
 def surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
-    """Tell whether an effect of many parameters would not be named even if it alone were asked.
+    """Return whether an effect of many parameters is insignificant even as the only one tested.
 
-    With f = U' U / tr V the chance is that of chi^2(nu) > f nu. tr V is known, or more than taken
-    for. nu lies between 1 and the number of parameters, and there the chance is least at either
-    end: as nu grows it grows first, then falls.
+    With f = U' U / tr V the probability is that of chi^2(nu) > f nu, and tr V is at least what is
+    used here. nu lies between 1 and the number of parameters; as nu grows the probability first
+    grows, then falls, so that it is smallest at one of the ends.
     """
     k = derivative.count
     if not MAX_EXACT_PARAMETERS < k <= MAX_PARAMETERS_PER_ACTUATOR * fit.problem.n:
@@ -130,20 +121,20 @@ def surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
     if at_least is None:
         return False
     score, whole, variance = at_least
-    if not (variance > _blind(fit) * whole).all():
+    if not (variance > _least_share(fit) * whole).all():
         return False
     f = float(np.sum(score**2 / whole) / np.sum(variance / whole))
-    least = min(log_chance(f * nu, nu) for nu in (1.0, float(k)))
-    return least > float(np.log(OF_EACH_KIND))
+    lowest = min(log_chance(f * nu, nu) for nu in (1.0, float(k)))
+    return lowest > float(np.log(OF_EACH_KIND))
 
 
 def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTest | None:
-    """Test one effect; None where the data are blind to it."""
+    """Return the test of one effect; None if the data contain no information on it."""
     if derivative.count > MAX_PARAMETERS_PER_ACTUATOR * fit.problem.n:
         return _tested_by_structure(effect, derivative)
     result = scored(fit, derivative)
-    blind = _blind(fit)
-    seen = np.diag(result.variance) > blind * result.whole
+    least = _least_share(fit)
+    seen = np.diag(result.variance) > least * result.whole
     if not seen.any():
         return None
     unit = 1.0 / np.sqrt(result.whole[seen])
@@ -151,7 +142,7 @@ def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTe
     v = result.variance[np.ix_(seen, seen)] * unit[:, None] * unit
     if len(u) <= MAX_EXACT_PARAMETERS:
         values, vectors = np.linalg.eigh(v)
-        held = values > max(1e2 * MIN_INFORMATION_SHARE * values[-1], blind)
+        held = values > max(1e2 * MIN_INFORMATION_SHARE * values[-1], least)
         if not held.any():
             return None
         statistic = float(np.sum((vectors[:, held].T @ u) ** 2 / values[held]))
@@ -163,7 +154,7 @@ def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTe
 
 
 def _tested_by_structure(effect: Effect, derivative: Derivative) -> EffectTest | None:
-    """Test an effect of several parameters of each actuator by what pooled rows leave alone."""
+    """Return the test of several parameters of each actuator, by the residual of the means."""
     information, score = derivative.information, derivative.score
     if isinstance(information, float) or isinstance(score, float) or not information.any():
         return None
@@ -173,7 +164,7 @@ def _tested_by_structure(effect: Effect, derivative: Derivative) -> EffectTest |
 
 
 def log_chance(chi2: float, freedom: float) -> float:
-    """Return the logarithm of the chance of a larger chi^2, however small it is."""
+    """Return the logarithm of the probability of a larger chi^2, however small it is."""
     chance = float(scipy.special.chdtrc(freedom, chi2))
     if chance > 0.0:
         return float(np.log(chance))
@@ -184,15 +175,13 @@ def log_chance(chi2: float, freedom: float) -> float:
 def beside_shared_noise(
     found: Sequence[EffectTest], fit: FittedRows, samples: Sequence[Array]
 ) -> list[EffectTest]:
-    """Return those by which rows of one group differ, and that are there beside such noise.
+    """Return effects by which rows of one group differ, if significant despite shared noise.
 
-    In their order: which is the likeliest, noise that is independent tells.
-
-    ``samples`` as in `noise.structure_of`, (m, n) [N].
+    Their order stays that of independent noise; ``samples`` as in `noise.structure_of`, (m, n) [N].
     """
     some = [test for test in found if test.effect.within]
     judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
-    codes = {test.effect.code for test in there(judged)}
+    codes = {test.effect.code for test in significant(judged)}
     return [test for test in some if test.effect.code in codes]
 
 
@@ -214,16 +203,16 @@ def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
 
 @dataclass(frozen=True)
 class UnknownForce:
-    """Where a force comes and goes.
+    """An unknown force at one actuator.
 
     Attributes
     ----------
     index, actuator
-        Among the enabled; its ID.
+        Index among the enabled, and ID.
     log_probability
-        Logarithm of the chance that any actuator stands out so far.
+        Logarithm of the probability that any actuator stands out so far.
     size
-        tau, root mean square force at one row of weight 1 [N].
+        tau, rms force at one row of weight 1 [N].
     """
 
     index: int
@@ -233,7 +222,7 @@ class UnknownForce:
 
 
 def unknown_force(fit: FittedRows) -> UnknownForce | None:
-    """Return the actuator at which an unknown force stands out; None if there is none."""
+    """Return the most significant unknown force; None if there is none."""
     pulled = fit.root @ fit.problem.a
     square = np.sum(pulled**2, axis=0)
     towards = pulled / np.sqrt(square)

@@ -1,13 +1,13 @@
-"""What the data of a campaign cannot show, and what of its usual size would do to the common scale.
+"""Effects that the data of a campaign cannot show, and their influence on the common scale.
 
 Under two loads the sums of the forces at rest are two equations for two unknowns, the common scale
-and B: nothing is left over to test (docs/effects.md). So an effect of parameters theta, of usual
-size s, moves alpha by -B' theta unseen, and the common scale by -(B v)' theta, with v its direction
-and B as of any effect (`derivative`). What the data do tell of it leaves less of it,
+and B, and no test is possible (docs/effects.md). An effect of parameters theta, of usual size s,
+moves alpha by -B' theta, and the common scale by -(B v)' theta, with v the direction of a common
+factor and B as of any effect (`derivative`). The information in the data reduces this to
 
     (B v)' C (B v),        C = (H_tt - H_te H^-1 H_et + 1 / s^2)^-1,
 
-and nothing worth a line where they tell it well, as three loads do. Magnets whose positions have a
+which is negligible if they determine the effect, as three loads do. Magnets whose positions have a
 declared uncertainty (columns E_X and E_Y) add to the covariance in the same way.
 """
 
@@ -20,16 +20,9 @@ import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.estimation.effects.catalogue import POSITIONS, on_balance, parts_of_positions
-from truenewton.estimation.effects.correction import correction, with_error
-from truenewton.estimation.effects.derivative import Derivative, FittedRows, scored
-from truenewton.estimation.effects.examination import ExaminedFit
-from truenewton.estimation.effects.readings import (
-    Field,
-    Sizes,
-    Some,
-    derivative_of,
-    field_sums,
-)
+from truenewton.estimation.effects.derivative import Derivative, FittedRows, Some, scored
+from truenewton.estimation.effects.examination import ExaminedFit, correction, with_error
+from truenewton.estimation.effects.fields import Field, derivative_of, field_sums
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import (
     MAGNET_COEFFICIENT,
@@ -39,13 +32,12 @@ from truenewton.estimation.findings.estimate import (
 from truenewton.estimation.likelihood import Minimum
 from truenewton.records.campaign import load_temperatures
 
-# Whose coils are judged each by itself: beyond, there is no room for it.
-MAX_ACTUATORS_BY_COIL = 2000
-MIN_REMAINING_SIZE = 0.1  # of the usual size: what is left of an effect that the data tell
+MAX_ACTUATORS_BY_COIL = 2000  # with a parameter of each coil: more do not fit into memory
+MIN_REMAINING_SIZE = 0.1  # of the usual size, below which the data determine an effect
 
 
 def static_gain(fit: FittedRows) -> Derivative | None:
-    """Let a coil's gain for elastic forces be another than for those at rest: g = -c^ + rest."""
+    """Return coil gains that differ by 1 % between elastic forces and those at rest."""
     if fit.problem.n > MAX_ACTUATORS_BY_COIL:
         return None
     moments = fit.moments
@@ -56,16 +48,16 @@ def static_gain(fit: FittedRows) -> Derivative | None:
         return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
 
     sums = field_sums(fit, [Field(elastic, moments.weight[None], each=1)])
-    return derivative_of(fit, sums[0], Sizes(each=True))
+    return derivative_of(fit, sums[0], each=True)
 
 
-def borne(fit: FittedRows) -> Derivative:
-    """Let something else bear a part of each load but the first."""
+def supported(fit: FittedRows) -> Derivative:
+    """Return a support of 5 mN of each load but the first."""
     return on_balance(fit, 5e-3 * _up(fit))
 
 
 def warmer_magnets(fit: FittedRows) -> Derivative | None:
-    """Let the bias magnets, two each, be 1 K warmer under each load but the first."""
+    """Return bias magnets, two each, that are 1 K warmer under each load but the first."""
     if np.isfinite(load_temperatures(fit.problem.campaign)).all():
         return None  # E_SYST has it
     bias = float(fit.minimum.values[fit.problem.unknowns.bias])
@@ -73,10 +65,10 @@ def warmer_magnets(fit: FittedRows) -> Derivative | None:
 
 
 def with_magnets_unsure(left: ExaminedFit) -> Minimum:
-    """Return the minimum, less sure by what the bias magnets lose if coils do by their warmth.
+    """Return the minimum with the error that bias magnets have if coils lose force by warming.
 
-    Coils that lose theta under a load, where no TEMPERATURE is recorded, may be warmer by theta /
-    `MAGNET_COEFFICIENT`; the bias magnets are so too, which nothing shows.
+    Coils that lose theta under a load may be warmer by theta / `MAGNET_COEFFICIENT`. Then the bias
+    magnets are warmer too, which only TEMPERATURE would show.
     """
     minimum = left.minimum
     lost = [e.size for e in left.effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
@@ -88,11 +80,11 @@ def with_magnets_unsure(left: ExaminedFit) -> Minimum:
 
 
 def zero_by_load(fit: FittedRows) -> Derivative:
-    """Move the zero of all readings under each load but the first."""
+    """Return a shift of the zero of all readings under each load but the first."""
     size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
     rows = (fit.moments.of_load * fit.moments.weight[:, None]).T[1:]
     field = Field(lambda *_: np.full((len(fit.moments.mean), 1), size), rows)
-    return derivative_of(fit, field_sums(fit, [field])[0], Sizes(slice(0, len(rows))))
+    return derivative_of(fit, field_sums(fit, [field])[0], slice(0, len(rows)))
 
 
 def _up(fit: FittedRows) -> Array:
@@ -100,9 +92,9 @@ def _up(fit: FittedRows) -> Array:
     return np.eye(3)[None, :, :1] * fit.moments.of_load[:, None, 1:]
 
 
-# What may be, in words, with its usual size; the derivative by that, None where the budget has it.
+# The derivative by each effect in units of its usual size; None if the error budget contains it.
 UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
-    "5 mN of an added weight rests on something else": borne,
+    "5 mN of an added weight rests on something else": supported,
     "all zeros shift by a tenth of a reading's noise under a load": zero_by_load,
     "the bias magnets are 1 K warmer under a load": warmer_magnets,
     "coil gains differ by 1 % between static and elastic forces": static_gain,
@@ -110,7 +102,7 @@ UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
 
 
 def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
-    """Return what the data cannot show would do to the common scale, the largest first."""
+    """Return the influence of undetectable effects on the common scale, the largest first."""
     found = list[UnseenError]()
     fit = left.rows
     # Of a relative change of all: alpha -> alpha (1 + e).
@@ -121,10 +113,10 @@ def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
             continue
         result = scored(fit, derivative)
         along = result.moves_along(direction)
-        told = result.information + np.eye(len(along))  # in units of 1 / s^2
+        information = result.information + np.eye(len(along))  # in units of 1 / s^2
         try:
-            left_open = scipy.linalg.solve(told, along, assume_a="pos")
-        except np.linalg.LinAlgError:  # noise feigns less than nothing
+            left_open = scipy.linalg.solve(information, along, assume_a="pos")
+        except np.linalg.LinAlgError:  # D_tt exceeds M_tt
             left_open = along
         moved = float(np.sqrt(along @ left_open))
         if moved > max(NEGLIGIBLE_SCALE_ERROR, MIN_REMAINING_SIZE * float(np.linalg.norm(along))):
@@ -133,10 +125,9 @@ def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
 
 
 def with_positions_unsure(left: ExaminedFit) -> Minimum:
-    """Return the minimum of an examined fit with what unsure positions add to its covariance.
+    """Return the minimum with the declared uncertainty of positions in its covariance.
 
-    Nothing where no uncertainty of theirs is declared. How far magnets stand off the data say
-    themselves where they can; else as far as is declared.
+    If the data determine the positions, with their own estimate of the uncertainty instead.
     """
     layout = left.problem.campaign.layout
     if layout.x_error is None and layout.y_error is None:
@@ -154,7 +145,7 @@ def with_positions_unsure(left: ExaminedFit) -> Minimum:
         ]
     )
     minimum, first = left.minimum, 0
-    for part in parts_of_positions(fit):  # what all of them move does not fit into one array
+    for part in parts_of_positions(fit):  # B of all of them does not fit into memory
         those = errors[:, first : first + part.count // 2]
         first += part.count // 2
         minimum = with_error(minimum, scored(fit, part).moves, np.diag(those.ravel() ** 2))

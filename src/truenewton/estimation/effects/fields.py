@@ -14,7 +14,7 @@ parameters; otherwise the error of every actuator would grow.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse
@@ -26,13 +26,14 @@ from truenewton.estimation.effects.derivative import (
     Derivative,
     FittedRows,
     OfEach,
+    Some,
     without_direction,
 )
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
 
-Some = slice | NDArray[np.intp]
-"""Some of the actuators."""
+CHANCE_OF_ANY_ACTUATOR = 1e-2 * OF_EACH_KIND  # that any actuator of a sound mirror is chosen
+MIN_DIRECTION_INFORMATION = 1e-4  # of the largest information: directions that the data constrain
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,31 +224,6 @@ class _FieldPass:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Sizes:
-    """What sizes of an effect on readings its parameters theta are: (K, n) mix theta.
-
-    Attributes
-    ----------
-    functions
-        Those of its functions that have sizes.
-    each
-        Whether each actuator has sizes of its own, theta (K, n); else all share them, theta (K, 1).
-    mix
-        (K, K), as of `from_mean`; the identity if None.
-    actuators
-        Indices of the only ones that have sizes, if each has its own; None for all.
-    direction
-        (n,) sizes of each along which nothing happens, if there is such a one.
-    """
-
-    functions: slice = field(default_factory=lambda: slice(0, 1))
-    each: bool = False
-    mix: Array | None = None
-    actuators: NDArray[np.intp] | None = None
-    direction: Array | None = None
-
-
 def from_mean(weight: Array) -> Array:
     """Return (K, K) mix of sizes that count from their mean, of (K,) weights.
 
@@ -257,46 +233,70 @@ def from_mean(weight: Array) -> Array:
     return np.asarray(np.eye(k) - np.outer(np.ones(k), weight / weight.sum()))
 
 
-def derivative_of(fit: FittedRows, effect: FieldSums, sizes: Sizes) -> Derivative:
-    """Return the derivative of an effect on readings by its sizes, in the order (K, actuators)."""
-    chosen, n = sizes.functions, fit.problem.n
-    k = chosen.stop - chosen.start
-    mix = np.eye(k) if sizes.mix is None else sizes.mix
-    some = slice(None) if sizes.actuators is None else sizes.actuators
-    trace = mix.T @ effect.field.first[chosen] @ fit.moments.pooling.squared_lengths
+def derivative_of(
+    fit: FittedRows,
+    sums: FieldSums,
+    functions: slice = slice(0, 1),
+    *,
+    each: bool = False,
+    mix: Array | None = None,
+    actuators: NDArray[np.intp] | None = None,
+    direction: Array | None = None,
+) -> Derivative:
+    """Return the derivative with respect to parameters theta of an effect on readings.
+
+    Parameters
+    ----------
+    fit, sums
+        The fit, and the sums of the field there.
+    functions
+        Which K of its functions have sizes, (K, n) mix theta.
+    each
+        Whether each actuator has sizes of its own, theta (K, n); otherwise all share (K, 1).
+    mix
+        (K, K), for example of `from_mean`; the identity if None.
+    actuators
+        Indices of the only ones that have sizes, if each has its own; None for all.
+    direction
+        (n,) sizes of each actuator along which nothing changes, if there is such a direction.
+    """
+    n, k = fit.problem.n, functions.stop - functions.start
+    mix = np.eye(k) if mix is None else mix
+    some = slice(None) if actuators is None else actuators
+    trace = mix.T @ sums.field.first[functions] @ fit.moments.pooling.squared_lengths
 
     def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        if sizes.direction is not None:
-            theta = without_direction(theta, sizes.direction)
+        if direction is not None:
+            theta = without_direction(theta, direction)
         size = np.zeros((k, n))
         size[:, some] = mix @ theta.reshape(k, -1)
-        return problem, without(fit, before, effect.field, chosen, size)
+        return problem, _removed(fit, before, sums.field, functions, size)
 
-    def feigns() -> tuple[Array, float]:
-        if not sizes.each:
-            return np.outer(trace, fit.feigned_by_all), 0.0
-        return (trace[:, None, None] * fit.feigned_by_each(some)).reshape(-1, n), 0.0
+    def spurious() -> tuple[Array, float]:
+        if not each:
+            return np.outer(trace, fit.spurious_by_all), 0.0
+        return (trace[:, None, None] * fit.spurious_by_each(some)).reshape(-1, n), 0.0
 
-    feigned = feigns if effect.field.gain else None
-    kinds = np.eye(effect.jacobian.shape[2])[effect.kind[chosen]].T @ mix
-    if not sizes.each:
+    biased = spurious if sums.field.gain else None
+    kinds = np.eye(sums.jacobian.shape[2])[sums.kind[functions]].T @ mix
+    if not each:
         return Derivative(
             k,
             remove,
-            jacobian=effect.jacobian @ kinds,
-            score=mix.T @ effect.score[chosen],
-            information=mix.T @ effect.information[chosen, chosen] @ mix,
-            feigns=feigned,
+            jacobian=sums.jacobian @ kinds,
+            score=mix.T @ sums.score[functions],
+            information=mix.T @ sums.information[functions, functions] @ mix,
+            spurious=biased,
         )
     arms = fit.scaled_arms[:, some]
     pulled = fit.root @ arms
-    kinds = kinds[: len(effect.each_square)]
-    pull = kinds.T @ effect.each_pull[:, :, some]
-    square = np.einsum("ak,abn,bk->kn", kinds, effect.each_square[:, :, some], kinds, optimize=True)
+    kinds = kinds[: len(sums.each_square)]
+    pull = kinds.T @ sums.each_pull[:, :, some]
+    square = np.einsum("ak,abn,bk->kn", kinds, sums.each_square[:, :, some], kinds, optimize=True)
 
     def rows() -> Array:
-        h = mix.T @ effect.field.mean(fit.moments)[chosen]
-        values = effect.field.at(fit, some)
+        h = mix.T @ sums.field.mean(fit.moments)[functions]
+        values = sums.field.at(fit, some)
         made = np.empty((len(fit.fitted_rows), k, arms.shape[1]))
         for index, one in enumerate(h):
             made[:, index] = fit.moments.pooling.weighed(one) @ values
@@ -311,30 +311,32 @@ def derivative_of(fit: FittedRows, effect: FieldSums, sizes: Sizes) -> Derivativ
             score=-np.sum(pulled[:, None] * pull, axis=0).ravel(),
             whole=(np.sum(pulled**2, axis=0) * square).ravel(),
         ),
-        score=(mix.T @ effect.each_score[chosen])[:, some].ravel(),
-        information=mixed(mix, effect.each_information[chosen, chosen])[:, :, some],
-        feigns=feigned,
-        actuators=sizes.actuators,
-        direction=sizes.direction,
+        score=(mix.T @ sums.each_score[functions])[:, some].ravel(),
+        information=_mixed(mix, sums.each_information[functions, functions])[:, :, some],
+        spurious=biased,
+        actuators=actuators,
+        direction=direction,
     )
 
 
-def mixed(mix: Array, values: Array) -> Array:
+def _mixed(mix: Array, values: Array) -> Array:
     """Return (K, K, n) mix' v mix of values v of each actuator."""
     return np.asarray(np.einsum("kl,kmn,mo->lon", mix, values, mix, optimize=True))
 
 
-def without(fit: FittedRows, moments: Moments, field: Field, chosen: slice, size: Array) -> Moments:
+def _removed(
+    fit: FittedRows, moments: Moments, field: Field, functions: slice, size: Array
+) -> Moments:
     """Return moments without an effect of (K, n) sizes of some functions of a field."""
     within = moments.within
-    shift = field.mean(moments)[chosen].T @ size
+    shift = field.mean(moments)[functions].T @ size
     mean = moments.mean - shift * field.at(fit)
-    if chosen.start >= field.within:
+    if functions.start >= field.within:
         return replace(moments, mean=mean)
     own, sums = field.own(within), field.sums(within)
     sizes = np.zeros((len(within.first), size.shape[1]))
-    sizes[chosen] = size
-    scatter = moments.scatter - 2.0 * np.sum(size * sums[chosen], axis=0)
+    sizes[functions] = size
+    scatter = moments.scatter - 2.0 * np.sum(size * sums[functions], axis=0)
     zeros, gains = within.zero.copy(), within.gain.copy()
     counted = within.counted(moments.weight > 0)
     for index, first in enumerate(counted.first):
@@ -346,10 +348,6 @@ def without(fit: FittedRows, moments: Moments, field: Field, chosen: slice, size
     return replace(moments, mean=mean, scatter=np.maximum(scatter, 0.0), within=within)
 
 
-CHANCE_OF_ANY_ACTUATOR = 1e-2 * OF_EACH_KIND  # that any actuator of a sound mirror is chosen
-MIN_DIRECTION_INFORMATION = 1e-4  # of the largest information: directions that the data hold
-
-
 def chi2_of_each(score: Array, information: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return (n,) chi^2 of (K, n) scores of (K, K, n) information, and their freedom."""
     values, vectors = np.linalg.eigh(np.moveaxis(information, 2, 0))
@@ -359,10 +357,10 @@ def chi2_of_each(score: Array, information: Array) -> tuple[Array, NDArray[np.in
     return np.sum(each, axis=1), np.count_nonzero(held, axis=1)
 
 
-def standing_out(effect: FieldSums, chosen: slice, mix: Array) -> NDArray[np.intp]:
-    """Return whose scores chance does not make, of some functions with a (K, K) mix of sizes."""
-    information = mixed(mix, effect.each_information[chosen, chosen])
+def standing_out(sums: FieldSums, functions: slice, mix: Array) -> NDArray[np.intp]:
+    """Return indices of actuators with scores beyond chance, of functions with a (K, K) mix."""
+    information = _mixed(mix, sums.each_information[functions, functions])
     if not information.any():
         return np.empty(0, dtype=np.intp)
-    chance = chi2_sf(*chi2_of_each(mix.T @ effect.each_score[chosen], information))
+    chance = chi2_sf(*chi2_of_each(mix.T @ sums.each_score[functions], information))
     return np.flatnonzero(chance < CHANCE_OF_ANY_ACTUATOR / len(chance))
