@@ -35,7 +35,7 @@ from truenewton.bench.simulated.static import (
     run_cycles,
     static_bench,
 )
-from truenewton.figures.style import CURVES, INK, STYLE, new_axes
+from truenewton.figures.style import CURVES, INK, STYLE, new_figure
 from truenewton.mirrors.glass import Annulus, Points
 from truenewton.mirrors.known import lbt672, mmt336, p45, ring
 from truenewton.mirrors.shell.dynamics import film_damping
@@ -259,7 +259,7 @@ def glass(path: str) -> None:
         "model, curved, points": stiffness(RoundShell(mirror.shell), at),
         "model, flat, sensors": stiffness(RoundShell(flat), at, mirror.sensor),
     }
-    ax = new_axes(0.8)
+    ax = new_figure(0.8).add_subplot()
     with mpl.rc_context(STYLE):
         order = np.arange(1, len(measured) + 1)
         ax.loglog(order, measured, color=INK, linewidth=1.6, label="measured, 2011")

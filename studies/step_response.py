@@ -10,7 +10,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.loop import Loop, samples_of
-from truenewton.figures.style import COLOURS, FAINT, INK, STYLE, new_axes
+from truenewton.figures.style import COLOURS, FAINT, INK, STYLE, new_figure
 from truenewton.statics.modes import stiffness_modes
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def plot_step_responses(
 ) -> Axes:
     """Draw how modes of (m,) stiffness answer a step, in units of what was commanded."""
     with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.72)
+        ax = ax or new_figure(0.72).add_subplot()
         ax.axhspan(0.9, 1.1, color=FAINT, alpha=0.25, linewidth=0)
         ax.axhline(1.0, color=FAINT, linewidth=0.5)
         # Even in lightness apart, and told apart by their dashes in print.

@@ -6,13 +6,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from truenewton.figures.style import legend_above, new_axes, plain
+from truenewton.figures.style import legend_above, new_figure, plain
 from truenewton.figures.writing import inline_svg
 
 
 def drawn(points=20, *, label="calibrated"):
     """Return axes with marks, curves and a legend."""
-    ax = new_axes(0.7)
+    ax = new_figure(0.7).add_subplot()
     x = np.arange(points)
     ax.plot(x, np.cos(x), "o", label=label)
     ax.plot(x, np.sin(x), label="sine")

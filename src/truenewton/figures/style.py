@@ -63,11 +63,6 @@ def new_figure(height: float) -> Figure:
     return figure
 
 
-def new_axes(height: float) -> Axes:
-    """Return axes on a figure of its own, one column wide and ``height`` columns high."""
-    return new_figure(height).add_subplot()
-
-
 @contextmanager
 def on_screen() -> Iterator[None]:
     """Let new axes be pyplot's, so that they show in Jupyter and in windows.
