@@ -25,7 +25,7 @@ from truenewton.statics.load import Load
 from truenewton.tracking.days import DatedCalibration, covariances, weight_groups
 from truenewton.tracking.figures import plot_law, plot_population, tracking_figures
 from truenewton.tracking.law import validity_of
-from truenewton.tracking.lines import linear_fit
+from truenewton.tracking.lines import linear_fit, relative_days
 from truenewton.tracking.population import fit_population, most_outlying, populations_from
 from truenewton.tracking.summary import lines
 
@@ -111,7 +111,7 @@ def test_lines_are_generalised_least_squares_with_weights_common_to_days():
     assert weight_groups(days) == [[0, 1, 2, 3], [4, 5]]
     on = np.ones(45, dtype=bool)
     settings = np.column_stack([np.array(TEMPERATURES) - 18.0, 0.1 * np.arange(6) - 0.25])
-    found = linear_fit(days, on, settings, np.zeros(45))
+    found = linear_fit(relative_days(days, on, settings), np.zeros(45))
 
     y = np.concatenate([d.calibration.alpha for d in days])
     x = np.kron(np.column_stack([np.ones(6), settings]), np.eye(45))
@@ -177,7 +177,8 @@ def test_coefficients_of_simulated_campaigns_come_out_within_their_covariance():
 def test_the_family_pulls_what_the_days_hardly_hold(tracking):
     days = [DatedCalibration("", c) for c in drawn(1, K, R, gap=90.0)]
     settings = np.column_stack([np.array(TEMPERATURES) - 18.0, 90 * np.arange(6) / 365.25])
-    alone = linear_fit(days, np.ones(45, dtype=bool), settings, np.zeros(45)).effects[0]
+    relative = relative_days(days, np.ones(45, dtype=bool), settings)
+    alone = linear_fit(relative, np.zeros(45)).effects[0]
     pooled = tracking.coefficient
     assert np.mean((pooled - K) ** 2) < np.mean((alone - K) ** 2)
     population = tracking.populations[0]

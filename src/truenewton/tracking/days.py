@@ -18,10 +18,8 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.findings.estimate import Scale
-from truenewton.linalg import factor_of
 from truenewton.reading import Read, read, select_segment
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.cycle import Cycle
 from truenewton.records.parts import InParts, Parts, by_number, has_parts, refuse_other_mirror
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -165,17 +163,17 @@ def _dated(name: str, given: Read) -> list[DatedCalibration]:
 
 def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
     """Split a campaign whose cycles differ by more than 1 K; each part has its mean temperature."""
-    means = [mean_temperature([cycle]) for cycle in campaign.cycles]
-    if not (np.isfinite(means).all() and np.ptp(means) > SAME_TEMPERATURE):
+    means = np.array([mean_temperature([cycle]) for cycle in campaign.cycles])
+    if not np.ptp(means) > SAME_TEMPERATURE:  # or unknown
         return [(float(np.mean(means)), campaign)]
-    parts: list[list[tuple[float, Cycle]]] = []
-    for mean, cycle in sorted(zip(means, campaign.cycles, strict=True), key=lambda pair: pair[0]):
-        if not parts or mean - parts[-1][0][0] > SAME_TEMPERATURE:
+    parts: list[list[int]] = []
+    for k in np.argsort(means, kind="stable").tolist():
+        if not parts or means[k] - means[parts[-1][0]] > SAME_TEMPERATURE:
             parts.append([])
-        parts[-1].append((mean, cycle))
+        parts[-1].append(k)
     return [
-        (float(np.mean([t for t, _ in part])), replace(campaign, cycles=tuple(c for _, c in part)))
-        for part in parts
+        (float(np.mean(means[ks])), replace(campaign, cycles=tuple(campaign.cycles[k] for k in ks)))
+        for ks in parts
     ]
 
 
@@ -235,16 +233,3 @@ def _same_weights(a: Calibration, b: Calibration) -> bool:
 
     tools = [{load.tool for load in c.loads if load.tool} for c in (a, b)]
     return weights(a) == weights(b) and (not all(tools) or tools[0] == tools[1])
-
-
-def weight_error_factor(days: Sequence[DatedCalibration], on: NDArray[np.bool_]) -> Array:
-    """Return (n, m) relative changes of alpha by m errors of the weights: a mean of the days.
-
-    Relative changes do not contain the noise of single days, and a common factor cancels from every
-    temperature coefficient.
-    """
-    parts = []
-    for day in days:
-        alpha = day.calibration.alpha[on]
-        parts.append(covariances(day.calibration, on)[1] / np.outer(alpha, alpha))
-    return factor_of(np.mean(parts, axis=0))

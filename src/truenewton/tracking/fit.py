@@ -35,6 +35,7 @@ from truenewton.tracking.days import (
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
 from truenewton.tracking.lines import (
     LinearFit,
+    RelativeDays,
     Scatter,
     estimate_scatter,
     linear_fit,
@@ -125,14 +126,15 @@ def _law(given: Sequence[Named], *, force: bool) -> Tracking:
     _refuse_other_units(days, on)
     settings, effects, limits, temperature, date = _settings(days)
     layout = days[0].calibration.layout
-    fit, jumped, scatter, own = _fit_lines(days, on, settings)
-    stay = ~np.isin(layout.id[on], [one.actuator for one in jumped])
-    wider, outlying = widen_outlying_day(days, on, settings, stay)
+    ids, relative = layout.id[on], relative_days(days, on, settings)
+    fit, jumped, scatter, own = _fit_lines(relative, ids)
+    stay = ~np.isin(ids, [one.actuator for one in jumped])
+    wider, outlying = widen_outlying_day(days, relative, stay)
     if outlying:
-        fit, jumped, scatter, own = _fit_lines(wider, on, settings)
+        fit, jumped, scatter, own = _fit_lines(relative_days(wider, on, settings), ids)
         limits += (outlying,)
     limits += tuple(_limits_of(days, on, scatter, len(effects)))
-    outliers, members = _outliers(fit, effects, layout.id[on], jumped)
+    outliers, members = _outliers(fit, effects, ids, jumped)
     values, covariance, systematic_covariance, populations = _pooled(fit, members, effects)
     law, derivatives = _law_from(values, effects)
     covariance, systematic_covariance = (
@@ -229,7 +231,7 @@ def _settings(
 
 
 def _fit_lines(
-    days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
+    days: RelativeDays, ids: NDArray[np.int64]
 ) -> tuple[LinearFit, list[Outlier], Scatter, Array]:
     """Fit the lines, and find actuators that lie on none.
 
@@ -237,24 +239,23 @@ def _fit_lines(
     one that jumped shifts others. Common scatter is no jump; its degrees of freedom make this an F
     test. Returns the fit, the outliers, the scatter, and the (n,) scatter of each actuator.
     """
-    n = int(on.sum())
-    ids = days[0].calibration.layout.id[on]
+    n = len(ids)
     jumped: list[Outlier] = []
     stay, own = np.ones(n, dtype=bool), np.zeros(n)
-    contrasts, covariance = relative_days(days, on, settings).contrasts()
+    contrasts, covariance = days.contrasts()
     while True:
         scatter = Scatter()
         if len(contrasts):
             scatter = estimate_scatter(contrasts, covariance, np.eye(n), stay, common=True)
         own = np.where(stay, scatter.own, np.maximum(own, scatter.own))
-        fit = linear_fit(days, on, settings, own, scatter.common_expanded)
+        fit = linear_fit(days, own, scatter.common_expanded)
         if not fit.actuator_degrees or len(jumped) >= MAX_OUTLIER_FRACTION * n:
             return fit, jumped, scatter, own
         worst = int(np.where(stay, fit.actuator_chi2, 0.0).argmax())
         degrees = fit.actuator_degrees
         variance = scatter.own**2 + float(np.mean(np.einsum("paa->pa", covariance)[:, worst]))
         chance = f_sf(fit.actuator_chi2[worst] / degrees, degrees, scatter.degrees_of(variance))
-        mirror = chance_of_any(float(chance), n * (1 + settings.shape[1]))
+        mirror = chance_of_any(float(chance), n * (1 + days.settings.shape[1]))
         if mirror >= FALSE_ALARM:
             return fit, jumped, scatter, own
         stay[worst], own[worst] = False, fit.own_scatter[worst]

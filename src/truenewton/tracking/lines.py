@@ -39,7 +39,7 @@ where c is the common part, weighted by that matrix.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,94 +50,17 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_ppf, chi2_sf, f_sf, normal_isf, t_isf
 from truenewton.errors import FormatError, NotConverged
-from truenewton.linalg import LeastSquares, least_squares
+from truenewton.linalg import LeastSquares, factor_of, least_squares
 from truenewton.rounding import percent
-from truenewton.tracking.days import (
-    DatedCalibration,
-    covariances,
-    weight_error_factor,
-    weight_groups,
-)
-
-
-@dataclass(frozen=True, eq=False)
-class LinearFit:
-    """The lines of all actuators, without a population."""
-
-    alpha: Array  # (n,) a, in the middle of the days
-    effects: Array  # (q, n) k and r
-    # ((1 + q) n, u) of the covariance of a and effects: readings first, then each weight error
-    root: Array
-    chi2: float  # of all days about their lines
-    own_scatter: Array  # (n,) rms relative deviation of each actuator from its line
-    actuator_chi2: Array  # (n,) of each actuator given all others
-    actuator_degrees: int  # of freedom of each actuator: days less parameters
-
-
-def linear_fit(
-    days: Sequence[DatedCalibration],
-    on: NDArray[np.bool_],
-    settings: Array,
-    scatter: Array,
-    common: float = 0.0,
-) -> LinearFit:
-    """Fit the lines of all actuators at once.
-
-    ``on`` are the n enabled actuators, ``settings`` (J, q) temperature and time of the days
-    relative to their middle, ``scatter`` the (n,) relative standard deviation of each actuator
-    about its line beyond the readings, ``common`` that of all together.
-
-    Raises
-    ------
-    RankDeficient
-        The settings do not separate the effects.
-    """
-    alpha = np.array([day.calibration.alpha[on] for day in days])
-    count, n = alpha.shape
-    design = np.column_stack([np.ones(count), settings])
-    q = settings.shape[1]
-    # Relative to the mean, all actuators weigh alike in one matrix.
-    mean = alpha.mean(axis=0)
-    y = alpha / mean
-    of_days = np.diag(scatter**2) + common**2
-    readings = (covariance + of_days for covariance in _relative(days, on, mean))
-    roots = np.array([*map(_inverse_root, days, readings)])
-    whitened = np.einsum("jab,jk->jakb", roots, design).reshape(count * n, (1 + q) * n)
-    change = _changes_by_weights(days, on, design, y)
-    errors = change.shape[2]
-    nothing = np.zeros((errors, (1 + q) * n))
-    whitened_change = (roots @ change).reshape(count * n, errors)
-    matrix = np.block([[whitened, whitened_change], [nothing, np.eye(errors)]])
-    right = np.concatenate([np.einsum("jab,jb->ja", roots, y).ravel(), np.zeros(errors)])
-    solution = least_squares(matrix, right)
-    values = solution.values[: (1 + q) * n].reshape(1 + q, n)
-    a, effects = values[0], values[1:] / values[0]
-    root = solution.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
-    root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
-    root[0] *= mean[:, None]
-    off = contrast_directions(settings)
-    degrees = off.shape[1]
-    return LinearFit(
-        alpha=a * mean,
-        effects=effects,
-        root=root.reshape((1 + q) * n, -1),
-        chi2=solution.chi2,
-        own_scatter=np.sqrt(np.sum((off.T @ y) ** 2, axis=0) / max(degrees, 1)),
-        actuator_chi2=_share(solution, roots, off) if degrees else np.zeros(n),
-        actuator_degrees=degrees,
-    )
-
-
-def contrast_directions(settings: Array) -> Array:
-    """Return (J, f) orthonormal combinations of the days that are independent of any law."""
-    design = np.column_stack([np.ones(len(settings)), settings])
-    return np.asarray(scipy.linalg.null_space(design.T))
+from truenewton.tracking.days import DatedCalibration, covariances, weight_groups
 
 
 @dataclass(frozen=True, eq=False)
 class RelativeDays:
     """The days relative to the mean alpha, with their errors."""
 
+    names: NDArray[np.str_]  # (J,) of the files
+    mean: Array  # (J, n) mean alpha, the same for all days
     values: Array  # (J, n) alpha over its mean
     readings: Array  # (J, n, n) covariance by the readings
     changes: Array  # (J, n, m) changes by m errors of the weights, at 1 sigma
@@ -149,7 +72,7 @@ class RelativeDays:
         return RelativeDays(*(each[others] for each in vars(self).values()))
 
     def contrasts(self) -> tuple[Array, Array]:
-        """Return (f, n) contrasts independent of any law (see `scatter`), and their covariance."""
+        """Return (f, n) contrasts independent of any law (see above), and their covariance."""
         off = contrast_directions(self.settings)
         size = np.einsum("jaa->j", self.readings)
         return self._along(off @ np.linalg.eigh((off.T * size) @ off)[1])
@@ -170,46 +93,96 @@ class RelativeDays:
 def relative_days(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
 ) -> RelativeDays:
-    """Return the days relative to their mean alpha, of the actuators ``on``."""
-    alpha = np.array([day.calibration.alpha[on] for day in days])
-    mean = alpha.mean(axis=0)
-    design = np.column_stack([np.ones(len(alpha)), settings])
-    readings = np.array([*_relative(days, on, mean)])
-    changes = _changes_by_weights(days, on, design, alpha / mean)
-    return RelativeDays(alpha / mean, readings, changes, settings)
+    """Return the days relative to their mean alpha, of the actuators ``on``.
 
-
-def _relative(
-    days: Sequence[DatedCalibration], on: NDArray[np.bool_], alpha: Array
-) -> Iterator[Array]:
-    """Yield the (n, n) statistical covariance of each day, relative to (n,) alpha."""
-    return (covariances(day.calibration, on)[0] / np.outer(alpha, alpha) for day in days)
-
-
-def _changes_by_weights(
-    days: Sequence[DatedCalibration], on: NDArray[np.bool_], design: Array, y: Array
-) -> Array:
-    """Return (J, n, m) changes of the (J, n) days by m errors of the weights, at 1 sigma.
-
-    They multiply the fitted law, not the readings, which would add noise.
+    Errors of weights are a mean of the days that share them, relative to alpha, so that they do not
+    contain the noise of single days. They multiply the fitted law for the same reason.
     """
-    law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
-    changes = [np.zeros((*y.shape, 0))]
+    alpha = np.array([day.calibration.alpha[on] for day in days])
+    mean = np.broadcast_to(alpha.mean(axis=0), alpha.shape)
+    values = alpha / mean
+    statistical, systematic = zip(*(covariances(day.calibration, on) for day in days), strict=True)
+    readings = np.array([c / np.outer(m, m) for c, m in zip(statistical, mean, strict=True)])
+    by_weights = np.array([c / np.outer(a, a) for c, a in zip(systematic, alpha, strict=True)])
+    design = np.column_stack([np.ones(len(alpha)), settings])
+    law = (design @ np.linalg.lstsq(design, values, rcond=None)[0])[:, :, None]
+    changes = [np.zeros((*values.shape, 0))]
     for group in weight_groups(days):
-        factor = weight_error_factor([days[k] for k in group], on)
-        changed = np.zeros((*y.shape, factor.shape[1]))
+        factor = factor_of(np.mean(by_weights[group], axis=0))
+        changed = np.zeros((*values.shape, factor.shape[1]))
         changed[group] = law[group] * factor
         changes.append(changed)
-    return np.concatenate(changes, axis=2)
+    names = np.array([day.name for day in days])
+    return RelativeDays(names, mean, values, readings, np.concatenate(changes, axis=2), settings)
 
 
-def _inverse_root(day: DatedCalibration, covariance: Array) -> Array:
+def contrast_directions(settings: Array) -> Array:
+    """Return (J, f) orthonormal combinations of the days that are independent of any law."""
+    design = np.column_stack([np.ones(len(settings)), settings])
+    return np.asarray(scipy.linalg.null_space(design.T))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """The lines of all actuators, without a population."""
+
+    alpha: Array  # (n,) a, in the middle of the days
+    effects: Array  # (q, n) k and r
+    # ((1 + q) n, u) of the covariance of a and effects: readings first, then each weight error
+    root: Array
+    chi2: float  # of all days about their lines
+    own_scatter: Array  # (n,) rms relative deviation of each actuator from its line
+    actuator_chi2: Array  # (n,) of each actuator given all others
+    actuator_degrees: int  # of freedom of each actuator: days less parameters
+
+
+def linear_fit(days: RelativeDays, scatter: Array, common: float = 0.0) -> LinearFit:
+    """Fit the lines of all actuators at once.
+
+    ``scatter`` is the (n,) relative standard deviation of each actuator about its line beyond the
+    readings, ``common`` that of all together.
+
+    Raises
+    ------
+    RankDeficient
+        The settings do not separate the effects.
+    """
+    y, change, mean = days.values, days.changes, days.mean[0]
+    (count, n), q, errors = y.shape, days.settings.shape[1], change.shape[2]
+    design = np.column_stack([np.ones(count), days.settings])
+    readings = days.readings + np.diag(scatter**2) + common**2
+    roots = np.array([*map(_inverse_root, days.names, readings)])
+    whitened = np.einsum("jab,jk->jakb", roots, design).reshape(count * n, (1 + q) * n)
+    nothing = np.zeros((errors, (1 + q) * n))
+    whitened_change = (roots @ change).reshape(count * n, errors)
+    matrix = np.block([[whitened, whitened_change], [nothing, np.eye(errors)]])
+    right = np.concatenate([np.einsum("jab,jb->ja", roots, y).ravel(), np.zeros(errors)])
+    solution = least_squares(matrix, right)
+    values = solution.values[: (1 + q) * n].reshape(1 + q, n)
+    a, effects = values[0], values[1:] / values[0]
+    root = solution.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
+    root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
+    root[0] *= mean[:, None]
+    off = contrast_directions(days.settings)
+    degrees = off.shape[1]
+    return LinearFit(
+        alpha=a * mean,
+        effects=effects,
+        root=root.reshape((1 + q) * n, -1),
+        chi2=solution.chi2,
+        own_scatter=np.sqrt(np.sum((off.T @ y) ** 2, axis=0) / max(degrees, 1)),
+        actuator_chi2=_share(solution, roots, off) if degrees else np.zeros(n),
+        actuator_degrees=degrees,
+    )
+
+
+def _inverse_root(name: str, covariance: Array) -> Array:
     """Return W with W' W the inverse of a covariance."""
     try:
         lower = scipy.linalg.cholesky(covariance, lower=True)
     except np.linalg.LinAlgError:
         fault = "COVARIANCE less SYSTEMATIC is no covariance"
-        raise FormatError(fault, remedy="calibrate again", path=day.name) from None
+        raise FormatError(fault, remedy="calibrate again", path=str(name)) from None
     return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
 
 
@@ -388,18 +361,14 @@ OFF = (  # whether actuators differ; the sentence
 
 
 def widen_outlying_day(
-    days: tuple[DatedCalibration, ...],
-    on: NDArray[np.bool_],
-    settings: Array,
-    stay: NDArray[np.bool_],
+    days: tuple[DatedCalibration, ...], relative: RelativeDays, stay: NDArray[np.bool_]
 ) -> tuple[tuple[DatedCalibration, ...], str]:
     """Return the days, with larger errors of one that is an outlier, and a sentence about it.
 
     ``stay``: (n,) actuators that are used. If no day is an outlier, the sentence is ''.
     """
-    if len(days) < settings.shape[1] + 3:
+    if len(days) < relative.settings.shape[1] + 3:
         return days, ""
-    relative = relative_days(days, on, settings)
     contrasts = [
         (y[stay], v[np.ix_(stay, stay)], share)
         for y, v, share in map(relative.contrast_of, range(len(days)))
