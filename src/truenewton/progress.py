@@ -8,59 +8,44 @@ from contextvars import ContextVar
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
-
-
-# Who is told what goes on, which share is done, and how to keep what there is.
-Told = Callable[[str, float, Callable[[], Any] | None], None]
-
-
-def _nobody(what: str, done: float, keep: Callable[[], Any] | None) -> None:
-    """Take no note."""
-
-
-_TOLD: ContextVar[Told] = ContextVar("told", default=_nobody)
+# Takes what is computed, the fraction that is done, and a function that returns the best result.
+Listener = Callable[[str, float, Callable[[], Any] | None], None]
+_LISTENER: ContextVar[Listener] = ContextVar("listener", default=lambda *_: None)
 
 
 @contextmanager
-def telling(told: Told) -> Iterator[None]:
+def progress_to(listener: Listener) -> Iterator[None]:
     """Report all progress inside to a function."""
-    token = _TOLD.set(told)
+    token = _LISTENER.set(listener)
     try:
         yield
     finally:
-        _TOLD.reset(token)
+        _LISTENER.reset(token)
 
 
 @contextmanager
-def kept_as(made_of: Callable[[Any], Any]) -> Iterator[None]:
-    """Convert every result that is kept inside."""
-    outer = _TOLD.get()
+def kept_as(converted: Callable[[Any], Any]) -> Iterator[None]:
+    """Convert the best result that is reported inside."""
+    outer = _LISTENER.get()
 
-    def told(what: str, done: float, keep: Callable[[], Any] | None) -> None:
-        outer(what, done, None if keep is None else lambda: made_of(keep()))
+    def listener(what: str, done: float, keep: Callable[[], Any] | None) -> None:
+        outer(what, done, None if keep is None else lambda: converted(keep()))
 
-    with telling(told):
+    with progress_to(listener):
         yield
 
 
-def tell(what: str, done: float = 0.0, keep: Callable[[], Any] | None = None) -> None:
-    """Report progress.
+def report_progress(what: str, done: float = 0.0, keep: Callable[[], Any] | None = None) -> None:
+    """Report what begins, and the fraction that is done, 0 if unknown; or what has been found.
 
-    Parameters
-    ----------
-    what
-        What begins now; with ``keep``, what has been found.
-    done
-        Fraction of the work that is done; 0 if not known.
-    keep
-        Returns a complete result from what has been computed, if the user stops waiting.
+    In the latter case ``keep`` returns it as a complete result, in case that the user stops.
     """
-    _TOLD.get()(what, done, keep)
+    _LISTENER.get()(what, done, keep)
 
 
-def telling_of(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
+def with_progress(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
     """Yield items, and report how many of them are done."""
-    tell(f"0 of {total} {what}")
+    report_progress(f"0 of {total} {what}")
     for number, item in enumerate(items, 1):
         yield item
-        tell(f"{number} of {total} {what}", number / total)
+        report_progress(f"{number} of {total} {what}", number / total)

@@ -26,7 +26,7 @@ from truenewton.figures.maps import bears_names, dot_radius, plot_map, segment_p
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.segmented import gmt
 from truenewton.modal.turbulence import pupil_of
-from truenewton.progress import telling
+from truenewton.progress import progress_to
 from truenewton.records.file import write_campaign
 from truenewton.records.segmented import segment_couplings
 from truenewton.report.verdict import headline_of
@@ -411,7 +411,7 @@ def test_segments_are_named_beside_their_actuators(whole):
 
 def test_the_bar_counts_segments(data):
     counts = []
-    with telling(lambda what, *_: counts.append(what)):
+    with progress_to(lambda what, *_: counts.append(what)):
         tn.calibrate(data)
     assert counts == [f"{done} of 3 segments" for done in range(4)]
 

@@ -49,7 +49,7 @@ from truenewton.estimation.screening.screen import (
 )
 from truenewton.files.format import attributes
 from truenewton.linalg import threads
-from truenewton.progress import kept_as, tell
+from truenewton.progress import kept_as, report_progress
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Cycle, Source
 from truenewton.records.parts import Parts, has_parts
@@ -134,7 +134,7 @@ def _where_reciprocity_holds(
         told = with_warnings(base, instead(against))
         return _with_imbalances(screened, matrix_modes.column_fit, told)
 
-    tell(_in_short(base), keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
+    report_progress(_in_short(base), keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
     try:
         estimate, of_modes, against = reciprocity_of_matrix.fit_matrix(
             screened, base, options.motion, where_it_holds=True

@@ -44,7 +44,7 @@ from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files.format import attributes
-from truenewton.progress import telling_of
+from truenewton.progress import with_progress
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts
 from truenewton.records.segmented import SegmentedData
@@ -124,7 +124,7 @@ def _survey_segments(
     """Return what data of several segments hold, each by itself."""
     parts, lines = [], [f"data of {data.instrument}: {counted(data.numbers, 'segment')}"]
     levels = []
-    for number in telling_of(data.numbers, len(data.numbers), "segments"):
+    for number in with_progress(data.numbers, len(data.numbers), "segments"):
         of_it = seen_of(motion, data.layout, number)
         try:
             body = data.part(number)

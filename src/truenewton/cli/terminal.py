@@ -127,7 +127,7 @@ def busy(what: str, *, keeping: bool = False) -> Iterator[Waiting]:
 
     If ``keeping``, also what was found: it can be kept by whoever interrupts the rest.
     """
-    from truenewton.progress import telling
+    from truenewton.progress import progress_to
 
     waiting = Waiting()
     with contextlib.ExitStack() as stack:
@@ -161,5 +161,5 @@ def busy(what: str, *, keeping: bool = False) -> Iterator[Waiting]:
                 shown.update(task, completed=done, total=1.0)
             shown.update(task, description=f"{what}: {now}")
 
-        stack.enter_context(telling(told))
+        stack.enter_context(progress_to(told))
         yield waiting

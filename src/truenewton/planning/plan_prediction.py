@@ -47,7 +47,7 @@ from truenewton.planning.prediction import (
     sensor_errors,
     sensor_information,
 )
-from truenewton.progress import tell, telling_of
+from truenewton.progress import report_progress, with_progress
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import counted
 from truenewton.statics.load import Load
@@ -225,7 +225,7 @@ def predict_plan(path: str | os.PathLike[str]) -> PlanPrediction:
     (45,)
     """
     plan = read_plan(path)
-    tell("forces and errors")
+    report_progress("forces and errors")
     try:
         bodies = map(predict_prepared, prepared_bodies(plan, Path(path).parent))
         return max(bodies, key=lambda one: one.prediction.typical_errors)
@@ -249,9 +249,9 @@ def predict_prepared(ready: Prepared) -> PlanPrediction:
                 limit=limit,
             ),
         )
-    tell("errors of the sensors", 0.3)
+    report_progress("errors of the sensors", 0.3)
     sensors = with_sensors(ready, cycles)
-    tell("errors against cycles and weight", 0.9)
+    report_progress("errors against cycles and weight", 0.9)
     return PlanPrediction(
         ready,
         prediction,
@@ -317,7 +317,7 @@ def suggest_changes(ready: Prepared, target: float) -> tuple[Change, ...]:
         ("tilt", _tilted(plan), ""),
         ("shapes", _larger(ready), "they are given, or at their limits"),
     )
-    tried = telling_of(ladders, len(ladders), "changes tried")
+    tried = with_progress(ladders, len(ladders), "changes tried")
     return tuple(_smallest(ready, target, *ladder) for ladder in tried)
 
 

@@ -27,7 +27,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.result import CALIBRATIONS, AnyCalibration, Calibration
+from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import refusal_of, refuse_unusable
 from truenewton.errors import FormatError, NotConverged, RankDeficient
 from truenewton.estimation.findings.code import Code
@@ -57,7 +57,7 @@ from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive, mirrored
-from truenewton.reading import select_segment
+from truenewton.reading import read_alpha, select_segment
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Source
 from truenewton.records.parts import (
@@ -88,9 +88,9 @@ class PriorCalibration:
     scale: float  # relative standard uncertainty from the weights, common to all actuators
     uneven: Array  # (n, m) changes of alpha by errors of the weights beyond the common scale
     temperature: float  # of alpha [deg C]; NaN if unknown
-    loads: tuple[Load, ...]
-    sources: tuple[Source, ...]
     verdict: Verdict
+    loads: tuple[Load, ...] = ()
+    sources: tuple[Source, ...] = ()
     # of a law that depends on temperature: lowest and highest of its days [deg C]
     temperatures: tuple[float, float] | None = None
 
@@ -104,10 +104,9 @@ def prior_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> P
         It is rejected, and ``force`` is not set.
     UnreadableFile, FormatError, CampaignMismatch, RankDeficient
     """
-    loads: tuple[Load, ...] = ()
-    sources: tuple[Source, ...] = ()
     name, given = known_for(known, campaign)
-    n, temperatures = given.layout.n, None
+    n = given.layout.n
+    further: dict[str, Any] = {}
     if isinstance(given, Tracking):
         verdict = _verdict_on_days(given, force=force, path=name)
         temperature = mean_temperature(campaign.cycles)
@@ -115,7 +114,7 @@ def prior_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> P
         at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
         alpha, covariance, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
         temperature = temperature if recorded else given.temperature
-        temperatures = given.span
+        further = {"temperatures": given.span}
     else:
         if given.scale == Scale.MEAN_ONE:
             raise FormatError(
@@ -124,11 +123,10 @@ def prior_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> P
                 path=name,
             )
         refuse_unusable(given, force=force, path=name)
-        verdict = given.verdict
-        alpha, temperature = given.alpha, given.temperature
+        verdict, alpha, temperature = given.verdict, given.alpha, given.temperature
         covariance = given.covariance[:n, :n]
         systematic_covariance = given.systematic_covariance[:n, :n]
-        loads, sources = given.loads, given.sources
+        further = {"loads": given.loads, "sources": given.sources}
     on = np.isfinite(alpha)
     scale, uneven = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
     uneven = alpha[:, None] * spread(uneven, on)
@@ -138,18 +136,7 @@ def prior_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> P
     except (ValueError, np.linalg.LinAlgError):  # it contains NaN, or is singular
         fault = "COVARIANCE less SYSTEMATIC is no covariance of alpha"
         raise FormatError(fault, remedy="calibrate again", path=name) from None
-    return PriorCalibration(
-        name=name,
-        alpha=alpha,
-        covariance=covariance,
-        scale=scale,
-        uneven=uneven,
-        temperature=temperature,
-        loads=loads,
-        sources=sources,
-        verdict=verdict,
-        temperatures=temperatures,
-    )
+    return PriorCalibration(name, alpha, covariance, scale, uneven, temperature, verdict, **further)
 
 
 def known_for(known: AnyKnown, run: Campaign | InParts[Any]) -> tuple[str, Any]:
@@ -172,17 +159,12 @@ def known_for(known: AnyKnown, run: Campaign | InParts[Any]) -> tuple[str, Any]:
 
 def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
     """Read a calibration or a law, of one body or of several segments."""
-    remedy = "give --known the file that `calibrate -o` or `track -o` wrote"
-    if Path(path).is_dir():
-        raise FormatError("is a folder", remedy=remedy, path=os.fspath(path))
-    file = read_fits(path)
-    if "TRACKING" in file.extensions:
-        law: Tracking | Parts[Tracking] = body_or_parts_from(file, TRACKINGS)
-        return law
-    if "CALIBRATION" in file.extensions:
-        found: AnyCalibration = body_or_parts_from(file, CALIBRATIONS)
-        return found
-    raise FormatError("is not a calibration", remedy=remedy, path=os.fspath(path))
+    if not Path(path).is_dir():
+        file = read_fits(path)
+        if "TRACKING" in file.extensions:
+            law: Tracking | Parts[Tracking] = body_or_parts_from(file, TRACKINGS)
+            return law
+    return read_alpha(path)
 
 
 def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:

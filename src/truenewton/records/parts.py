@@ -29,7 +29,7 @@ from truenewton.errors import (
 )
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Attribute, Column, FileFormat, TableFormat, quantities, value_of
-from truenewton.progress import telling, telling_of
+from truenewton.progress import progress_to, with_progress
 from truenewton.records.result import Result, ResultKind, verdict_of
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
@@ -152,7 +152,7 @@ class InParts(Generic[Part]):
         answers = (map if executor is None else executor.map)(_attempt, pairs())
         found: dict[int, Made] = {}
         failed = dict(self.failed)
-        told = telling_of(answers, len(numbers), "segments")
+        told = with_progress(answers, len(numbers), "segments")
         for number, answer in zip(numbers, told, strict=True):
             if isinstance(answer, Fault):
                 failed[number] = (answer,)
@@ -176,7 +176,7 @@ def _attempt(pair: tuple[Callable[[Part], Made], Part] | Fault) -> Made | Fault:
         return pair
     function, part = pair
     # Warnings and progress are those of the mirror as a whole.
-    with warnings.catch_warnings(), telling(lambda *_: None):
+    with warnings.catch_warnings(), progress_to(lambda *_: None):
         warnings.simplefilter("ignore")
         warnings.simplefilter("error", RuntimeWarning)  # an overflow gives no result
         try:

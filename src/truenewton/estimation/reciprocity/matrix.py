@@ -44,7 +44,7 @@ from truenewton.estimation.reciprocity.sensor_model import (
     Values,
     places_of,
 )
-from truenewton.progress import tell
+from truenewton.progress import report_progress
 from truenewton.statics.layout import Layout
 
 AT_MAGNETS_OFFSET = 5e-5  # rms offset [m] up to which the plate model is accurate enough
@@ -131,14 +131,14 @@ def examined(modes: Modes) -> MatrixEvidence:
     ------
     RankDeficient, NotConverged
     """
-    tell("reciprocity", 0.02)
+    report_progress("reciprocity", 0.02)
     joint = modes.fit(START_REQUEST)
-    tell("reciprocity, the noise", 0.5)
+    report_progress("reciprocity, the noise", 0.5)
     noise = noise_of(modes.stiffness, joint, modes.places)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS_OFFSET
-    tell("reciprocity, of halves of the modes", 0.65)
+    report_progress("reciprocity, of halves of the modes", 0.65)
     halves = _halves(modes, joint, noise, doubtful=doubtful)
-    tell("reciprocity, against the balance", 0.8)
+    report_progress("reciprocity, against the balance", 0.8)
     try:
         evidence, ways, unequal = _against_balance(modes, joint, noise, halves, doubtful=doubtful)
     except (RankDeficient, NotConverged):

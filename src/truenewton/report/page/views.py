@@ -246,19 +246,15 @@ def calibration_views(
     layers = segment_layers(c) if has_parts(c) else calibration_layers(c, evidence)
     source, group = actuator_source(c.layout, layers), group_name(c.layout)
     groups, alpha = _shown_groups(c.layout), c.column("alpha")
-    means = [
-        f"{k}: {np.nanmean(alpha[groups == k]):.3f}" for k in np.unique(groups[alpha == alpha])
-    ]
-    by = f"by {group}" if len(set(groups)) > 1 else "by actuator"
+    known = np.unique(groups[np.isfinite(alpha)]).tolist()
+    means = ", ".join(f"{k}: {np.nanmean(alpha[groups == k]):.3f}" for k in known)
+    by = f"by {group}" if len(known) > 1 else "by actuator"
     caption = (
         f"Alpha {by}. Bars: three standard uncertainties from the readings (3 E_STAT)."
-        f" Means by {group}: {', '.join(means)}."
+        f" Means by {group}: {means}."
     )
-    views = (
-        _map("Map of the mirror", source, c.layout, layers, edges),
-        View("rings", f"Alpha {by}", alpha_by_ring(source, c, layers), caption),
-    )
-    return Actuators(c.layout, layers, views)
+    by_ring = View("rings", f"Alpha {by}", alpha_by_ring(source, c, layers), caption)
+    return _with_map("Map of the mirror", source, c.layout, layers, edges, by_ring)
 
 
 def change_views(change: Change, edges: Sequence[Array] = ()) -> Actuators:
@@ -269,23 +265,22 @@ def change_views(change: Change, edges: Sequence[Array] = ()) -> Actuators:
         f"{title}, in sigmas. The dashed lines ({change.limit:.1f} sigma) are exceeded by chance in"
         " 1 % of comparisons."
     )
-    views = (
-        _map("Map of the change", source, layout, layers, edges),
-        View("rings", title, change_by_ring(source, change, layers), caption),
-    )
-    return Actuators(layout, layers, views)
+    by_ring = View("rings", title, change_by_ring(source, change, layers), caption)
+    return _with_map("Map of the change", source, layout, layers, edges, by_ring)
 
 
-def _map(
+def _with_map(
     title: str,
     source: ColumnDataSource,
     layout: Layout,
     layers: tuple[Layer, ...],
     edges: Sequence[Array],
-) -> View:
+    by_ring: View,
+) -> Actuators:
     glass = " Lines are the edges of the glass." if edges else ""
     caption = (
         f"Map of {counted(layout.n, 'actuator')}, seen along -z, coloured by the layer selected"
         f" below.{glass} The table of actuators contains all values."
     )
-    return View("map", title, mirror_map(source, layout, layers, edges), caption)
+    shown = View("map", title, mirror_map(source, layout, layers, edges), caption)
+    return Actuators(layout, layers, (shown, by_ring))
