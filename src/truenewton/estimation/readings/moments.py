@@ -1,26 +1,22 @@
-"""Repeats put together: number, mean and scatter, pooled over loads and signs, summed over shapes.
+"""Moments of repeats, rows pooled over loads and signs, and sums over shapes.
 
-Rows pooled over loads and signs: what shapes share besides their repeats.
+Rows with the same load, SHAPE and SIGN have the same true forces, so their number, mean and scatter
+contain all their information on alpha. If POSITION and gradients are given, c becomes
+c (1 + COILGRAD z), and the change of the bias magnets BIASGRAD z is a known part of the balance
+(docs/files.md).
 
-A true shape costs the same elastic forces under every load, and the opposite ones with the opposite
-sign. So the (g, n) means c of groups (`moments`), of weights r, are linear in a few rows,
+A shape takes the same elastic forces under every load, and the opposite forces with the opposite
+sign. So the (g, n) means c of groups, of weights r, are linear in a few rows,
 
     c = X b,    X: a column for each load and sign (statics), one for each SHAPE times its SIGN
 
-(and times the size of the displacements under that load, where POSITION tells another than 1), and
-with U spanning X, U' diag(r) U = 1, all that the balance hears of c is the R rows y = U' r c,
-each with the noise of one reading. What is left, c - U y, is noise alone if shapes do repeat over
-loads and signs: that is tested, and where it does not hold every group stands for itself, R = g.
+(and times the size of the displacements under that load, if POSITION shows that it is not 1). With
+U spanning X, U' diag(r) U = 1, the balance depends on c only by the R rows y = U' r c, each with
+the noise of one reading. The residual c - U y is noise alone if shapes repeat over loads and signs.
+This is tested; if they do not, every group is a row of its own, R = g.
 
-What a campaign boils down to: repeats put together, then sums over shapes.
-
-Rows with the same load, SHAPE and SIGN share their true forces, so their number, mean and scatter
-contain all that they say of alpha. From the means, everything the likelihood needs of a load is
-their number, sum and second moment: one symmetric rank-k update by BLAS.
-
-Where POSITION and the gradients are given, c becomes c (1 + COILGRAD z), and the bias magnets'
-change BIASGRAD z is kept as a known part of the balance (docs/files.md). Displacements count from
-one reading of each sensor for the whole campaign (`rows.common_reference`).
+The likelihood needs of a load only the number, sum and second moment of its rows: one symmetric
+rank-k update by BLAS.
 """
 
 from __future__ import annotations
@@ -47,10 +43,9 @@ class ShapeSums:
     Attributes
     ----------
     shapes
-        Number of distinct shapes: each brings its own noise.
+        Number of distinct shapes, each with noise of its own.
     weight, force, known
-        (L,), (L, n) and (L, 3) sums of r, r c and r q, each load by itself; q is the balance known
-        beforehand.
+        (L,), (L, n) and (L, 3) sums of r, r c and r q of each load; q is the known balance.
     square
         (n, n) sum of r c c' over all loads.
     known_force, known_square
@@ -74,8 +69,7 @@ def shape_sums(mean: Array, weight: Array, known: Array, share: Array) -> ShapeS
     mean, weight, known
         (g, n) forces [N], (g,) weights r, (g, 3) known balance.
     share
-        (L, g) how much of the load each shape carries: 1 of its own, but of pooled rows some of
-        each (`pooling`).
+        (L, g) share of each load in a shape: 1 of its own; pooled rows contain several.
     """
     n = mean.shape[1]
     if (weight == weight[0]).all():
@@ -102,15 +96,7 @@ def shape_sums(mean: Array, weight: Array, known: Array, share: Array) -> ShapeS
 
 @dataclass(frozen=True, eq=False)
 class Pooling:
-    """Rows that carry what groups share.
-
-    Attributes
-    ----------
-    basis
-        (g, R) U.
-    weight
-        (g,) r.
-    """
+    """Pooled rows: (g, R) basis U of groups of (g,) weights r."""
 
     basis: scipy.sparse.csr_array
     weight: Array
@@ -141,12 +127,12 @@ class Pooling:
         return np.asarray(self.basis.multiply(self.basis).sum(axis=1)).ravel()
 
     def groups(self, rows: Array) -> Array:
-        """Return (g, m) U y, what (R, m) rows y say of the groups."""
+        """Return (g, m) U y of the groups, from (R, m) rows y."""
         return np.asarray(self.basis @ rows)
 
 
 def each_by_itself(weight: Array) -> Pooling:
-    """Return the rows of groups that share nothing; those of weight 0 have none."""
+    """Return a row for each group, none for those of weight 0."""
     counted = np.flatnonzero(weight)
     values = (1.0 / np.sqrt(weight[counted]), (counted, np.arange(counted.size)))
     return Pooling(scipy.sparse.csr_array(values, shape=(weight.size, counted.size)), weight)
@@ -170,7 +156,7 @@ def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) 
     of_shape = scipy.sparse.csr_array((sign, (on, shape.ravel())), shape=(g, shape.max() + 1))
     of_statics = np.zeros((g, statics.max() + 1))
     of_statics[on, statics.ravel()] = 1.0
-    # Of the statics what shapes do not tell already; both orthonormal in r.
+    # The statics without their part in the shapes; both orthonormal in r.
     total = np.bincount(shape.ravel(), weights=r * sign**2)
     told = of_shape.T @ (weight[:, None] * of_statics) / total[:, None]
     apart = of_statics - of_shape @ told
@@ -186,9 +172,9 @@ QUARTILE = normal_isf(0.25)  # median of |z|
 
 @dataclass(frozen=True, eq=False)
 class WithinGroups:
-    """How rows of one group differ by file and by hour, in files + 1 functions h of a row.
+    """Differences of the rows of one group by file and by hour, files + 1 functions h of a row.
 
-    h is 1 in one file and 0 elsewhere, for each file; then the hours since the mean of all rows.
+    For each file h is 1 in it and 0 elsewhere; the last h is the hours since the mean of all rows.
 
     Attributes
     ----------
@@ -241,7 +227,7 @@ class WithinGroups:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Groups of rows that repeat one shape.
+    """Moments of the groups of rows that repeat one shape.
 
     Attributes
     ----------
@@ -256,19 +242,19 @@ class Moments:
     mean
         (g, n) mean commanded force of the enabled actuators, COILGRAD taken in [N].
     known
-        (g, 3) mean of what is known of the balance beforehand: A (BIASGRAD z).
+        (g, 3) mean of the known part of the balance: A (BIASGRAD z).
     scatter
         (n,) weighted sum of squared deviations of rows from their group's mean [N^2].
     reference
         (n,) readings from which displacements count [m]; NaN where from the mean of each cycle.
     within
-        How rows of one group differ by file and by hour.
+        Differences of the rows of one group by file and by hour.
     pooled
-        Whether shapes repeat over loads and signs as well (`pooling`).
+        Whether shapes repeat over loads and signs as well.
     displacement
         (g, n) mean displacement of each sensor [m]; None without POSITION.
     step
-        (n,) of which readings are multiples [N], 0 where they are of none.
+        (n,) of which readings are multiples [N], or 0.
     """
 
     loads: tuple[Load, ...]
@@ -286,7 +272,7 @@ class Moments:
 
     @property
     def groups(self) -> int:
-        """Number of groups that are not left out: of distinct shapes, each with its own noise."""
+        """Number of groups that are not left out."""
         return int(np.count_nonzero(self.rows))
 
     @property
@@ -303,7 +289,7 @@ class Moments:
 
     @property
     def typical_variance(self) -> float:
-        """Variance of a typical row in terms of one of weight 1."""
+        """Variance of a typical row over that of a row of weight 1."""
         return float(self.rows.sum() / self.weight.sum())
 
     @property
@@ -323,14 +309,14 @@ class Moments:
 
     @property
     def of_load(self) -> Array:
-        """(g, L) 1 where a group stands under a load, else 0."""
+        """(g, L) 1 if a group is under a load, otherwise 0."""
         return np.asarray(self.labels[:, :1] == np.arange(len(self.loads)), dtype=np.float64)
 
     @cached_property
     def sizes(self) -> tuple[Array, Array]:
-        """(L,) size of the shapes under each load, as POSITION has it, and its variance.
+        """(L,) size of the shapes under each load by POSITION, and its variance.
 
-        In terms of the first load; 1 where it is that within four standard errors.
+        Relative to the first load; 1 unless it differs from that by four standard errors.
         """
         size, variance = np.ones((2, len(self.loads)))
         variance[0] = 0.0
@@ -349,7 +335,7 @@ class Moments:
             if not moved.any():
                 continue
             ratios = np.sum(first * other, axis=1)[moved] / square[moved]
-            ratio = float(np.median(ratios))  # a file may have other shapes than it says
+            ratio = float(np.median(ratios))  # a file may contain wrong shapes
             spread = float(np.median(np.abs(ratios - ratio))) / QUARTILE
             variance[load_index] = 0.5 * np.pi * spread**2 / len(ratios)
             if abs(ratio - 1.0) > 4 * np.sqrt(variance[load_index]):
@@ -358,7 +344,7 @@ class Moments:
 
     @cached_property
     def pooling(self) -> Pooling:
-        """Which rows carry what groups share."""
+        """The pooled rows, or a row for each group."""
         if self.pooled:
             return over_loads_and_signs(self.labels, self.weight, self.sizes[0])
         return each_by_itself(self.weight)

@@ -1,13 +1,13 @@
-"""Forces in steps, as a converter gives them, and the noise that they add.
+"""Steps of the readings, as of a converter, and the noise that they add.
 
-A reading rounded to steps q of forces that lie anywhere in them has q^2 / 12 of variance more.
-Where noise is as large as a step, repeats show all of it. Where it is less, readings of one shape
-tend to the same step: of sigma^2 + q^2 / 12 repeats do not show
+Rounding to steps q adds a variance of q^2 / 12. If the noise is as large as a step, the scatter of
+repeats contains all of it. If it is smaller, readings of one shape tend to the same step, and of
+sigma^2 + q^2 / 12 the scatter does not contain
 
     b^2 = q^2 sum over k of exp(-(2 pi k sigma / q)^2) / (2 (pi k)^2),
 
-the mean square of what rounding leaves of the mean (Fourier series of the sawtooth; Widrow and
-Kollar, Quantization Noise, 2008), and no number of repeats makes it smaller.
+the mean square error of the mean by rounding (Fourier series of the sawtooth; Widrow and Kollar,
+Quantization Noise, 2008), which does not decrease with the number of repeats.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ import numpy as np
 from truenewton.arrays import Array
 
 FINEST_STEP = 1e-6  # of the largest reading: finer steps are rounding of the computer
-# Of a step, within which readings are multiples of it, or seem to be.
-EXACT_MULTIPLE, NEAR_MULTIPLE = 0.02, 0.1
-MIN_STEP_READINGS, MIN_STEP_GAPS = 12, 8  # readings that tell a step; gaps that give it
+EXACT_MULTIPLE, NEAR_MULTIPLE = 0.02, 0.1  # tolerance of multiples, final and preliminary [steps]
+MIN_STEP_READINGS, MIN_STEP_GAPS = 12, 8  # readings, and gaps between them, that a step needs
 _SIGMA = np.linspace(0.0, 1.0, 101)  # of a step
 _K = np.arange(1, 200)[:, None]
 _HIDDEN = np.sum(np.exp(-((2 * np.pi * _K * _SIGMA) ** 2)) / (2 * (np.pi * _K) ** 2), axis=0)
@@ -30,8 +29,8 @@ _HIDDEN = np.sum(np.exp(-((2 * np.pi * _K * _SIGMA) ** 2)) / (2 * (np.pi * _K) *
 def rounding_steps(readings: Sequence[Array]) -> Array:
     """Return (n,) the step of which the readings of each actuator are multiples [N], or 0.
 
-    Multiples but for an offset. By Euclid's algorithm from the least gaps between readings, in
-    which the rounding of stored numbers grows least; larger ones then tell it ever more exactly.
+    They may have an offset. By Euclid's algorithm from the smallest gaps between readings, in which
+    rounding of stored numbers grows least; larger gaps then refine it.
 
     Parameters
     ----------
@@ -53,10 +52,12 @@ def rounding_steps(readings: Sequence[Array]) -> Array:
             step, other = np.where(ended, step, other), np.where(ended, 0.0, rest)
     for span in np.sort([*gaps, *apart], axis=0):
         count = np.round(np.divide(span, step, out=np.zeros_like(span), where=step > finest))
-        known = (count > 0) & np.isfinite(span) & (np.abs(_off(span, step)) <= NEAR_MULTIPLE * step)
-        step = np.divide(span, count, out=step.copy(), where=known)
+        multiple = (
+            (count > 0) & np.isfinite(span) & (np.abs(_off(span, step)) <= NEAR_MULTIPLE * step)
+        )
+        step = np.divide(span, count, out=step.copy(), where=multiple)
     step = _exact(step, apart, finest)
-    if (step > 0.0).any():  # converters are alike as a rule
+    if (step > 0.0).any():  # converters are usually of one type
         step = np.maximum(
             step, _exact(np.where(step > 0.0, 0.0, np.median(step[step > 0.0])), apart, finest)
         )
@@ -64,16 +65,16 @@ def rounding_steps(readings: Sequence[Array]) -> Array:
 
 
 def _exact(step: Array, apart: Array, finest: Array) -> Array:
-    """Return (n,) steps, 0 where (m, n) distances are no multiples of them."""
+    """Return (n,) steps, 0 if (m, n) distances are no multiples of them."""
     exact = (np.abs([_off(span, step) for span in apart]) <= EXACT_MULTIPLE * step).all(axis=0)
     return np.where(exact & (step > finest), step, 0.0)
 
 
 def _off(values: Array, steps: Array) -> Array:
-    """Return how far (n,) values lie from the nearest multiple of steps."""
-    known = (steps > 0.0) & np.isfinite(values)
-    whole = np.divide(values, steps, out=np.zeros_like(values), where=known)
-    return np.where(known, values, 0.0) - steps * np.round(whole)
+    """Return (n,) differences of values from the nearest multiple of steps."""
+    finite = (steps > 0.0) & np.isfinite(values)
+    whole = np.divide(values, steps, out=np.zeros_like(values), where=finite)
+    return np.where(finite, values, 0.0) - steps * np.round(whole)
 
 
 def hidden_variance(step: Array, seen: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The second reading of the rows, once for all who need them, and fingerprints of some rows."""
+"""The second reading of the rows, shared by all that need it, and fingerprints of some rows."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class RowBlock:
 
     @cached_property
     def position(self) -> Array:
-        """(m, n) readings of the sensors [m]; read for the first who asks."""
+        """(m, n) readings of the sensors [m], read on first use."""
         if self.cycle.position is None:
             raise ValueError(f"{self.cycle!r} holds no POSITION")
         return self.cycle.used(self.cycle.position, self.rows)
@@ -56,8 +56,8 @@ def read_rows(campaign: Campaign, readers: Sequence[RowReader]) -> None:
                 take(block)
 
 
-PRINTED_LABELS = 48  # labels whose rows are looked at
-KEPT_LABELS = 16  # labels whose rows are kept, of each file
+PRINTED_LABELS = 48  # labels of which prints are taken
+KEPT_LABELS = 16  # labels of each file whose rows are kept
 
 
 def common_labels(codes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
@@ -66,13 +66,13 @@ def common_labels(codes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
 
 
 def _some(labels: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """Return so many of (m,) labels at most, from the first to the last."""
+    """Return at most so many of (m,) labels, evenly from the first to the last."""
     last = len(labels) - 1
     return labels[np.unique(np.linspace(0, last, most if last >= 0 else 0).astype(np.int64))]
 
 
 class RowPrints:
-    """Readings of one row of each file under some labels, SHAPE times SIGN.
+    """Fingerprints of one row of each file under some labels, SHAPE times SIGN.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class RowPrints:
     Attributes
     ----------
     labels
-        (m,) those under which rows are looked at.
+        (m,) those of which prints are taken.
     taken
         Digests by file and label.
     longest
@@ -115,7 +115,7 @@ class RowPrints:
         return np.array([[self.readings[file, code] for code in chosen] for file in files])
 
     def rows(self, file: int) -> int:
-        """Return how many rows of a file were looked at."""
+        """Return the number of rows of a file of which prints were taken."""
         return sum(of == file for of, _ in self.taken)
 
     def take(self, file: int, codes: NDArray[np.int64], force: Array) -> None:
