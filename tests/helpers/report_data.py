@@ -6,7 +6,7 @@ import numpy as np
 
 from helpers.balanced import BARE_AND_RING, campaign_of
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.findings.estimate import Sensor
+from truenewton.estimation.findings.estimate import Diagnosis, Sensor
 from truenewton.mirrors.known import ring
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
@@ -64,7 +64,7 @@ def large(actuators):
         effects=(),
         scale_errors=(),
         unseen=(),
-        diagnosis=None,
+        diagnosis=Diagnosis(),
         goodness=None,
         sources=(),
     )

@@ -15,6 +15,7 @@ from helpers.comparison import same
 from helpers.segmented import in_one, pieces
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import FormatError
+from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.reading import read
 from truenewton.records import reader
 from truenewton.records.campaign import Campaign
@@ -198,7 +199,7 @@ def test_a_calibration_file_is_as_the_contract_says_and_read_as_written(p45_fold
     table = calibration.table
     assert table["X"].unit == "m"
     np.testing.assert_array_equal(table["ALPHA"].value, calibration.alpha)
-    assert same(read(tmp_path / "a.fits"), dataclasses.replace(calibration, diagnosis=None))
+    assert same(read(tmp_path / "a.fits"), dataclasses.replace(calibration, diagnosis=Diagnosis()))
     assert [load.tool for load in read(tmp_path / "b.fits").loads] == [None, None]
 
 

@@ -11,6 +11,7 @@ import pytest
 from helpers import report_data
 from helpers.browser import AXE, CHROMIUM, DRIVER, TOOLTIP, Browser
 from helpers.report_data import changed_by, hostile_campaign
+from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.report.change import change
 from truenewton.report.findings import investigate
 from truenewton.report.page.page import write_report
@@ -66,7 +67,9 @@ def pages(tmp_path_factory, p45_findings):
         "no_alpha": investigate(report_data.one_load()),
         "hostile": investigate(hostile_campaign()),
         "change": change(*changed_by(12.0)),
-        "file": investigate(replace(p45_findings.calibration, diagnosis=None, goodness=None)),
+        "file": investigate(
+            replace(p45_findings.calibration, diagnosis=Diagnosis(), goodness=None)
+        ),
     }
     for name, one in found.items():
         write_report(folder / f"{name}.html", one, command="truenewton report 'it'")

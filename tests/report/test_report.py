@@ -15,6 +15,7 @@ from helpers.balanced import arms_of, p45_campaign
 from helpers.report_data import HOSTILE, changed_by, hostile_campaign
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, UnknownName
+from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
 from truenewton.report.change import change
@@ -117,7 +118,7 @@ def test_leverage_is_that_of_the_readings(p45):
     layers = calibration_layers(p45.calibration, p45.evidence)
     [layer] = [layer for layer in layers if layer.key == "leverage"]
     assert layer.values.sum() == pytest.approx(3.0)
-    read_back = replace(p45.calibration, diagnosis=None)
+    read_back = replace(p45.calibration, diagnosis=Diagnosis())
     [even] = [one for one in calibration_layers(read_back, None) if one.key == "leverage"]
     assert even.values == pytest.approx(layer.values, rel=0.4)  # noise taken as even
     assert even.values.sum() == pytest.approx(3.0)

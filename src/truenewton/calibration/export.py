@@ -1,4 +1,4 @@
-"""A calibration as a file, in the form that its name ends in: all of it, its table, or alpha."""
+"""A calibration as a file, in the format of its suffix: all of it, its table, or alpha."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from truenewton.records.parts import has_parts
 from truenewton.records.result import write
 
 WHOLE = (".fits", ".fits.gz")
-LACKS = {  # of the other forms, and what they leave out
+LACKS = {  # of the other formats, what they contain and lack
     ".ecsv": "the table and the verdict; no covariance",
     ".csv": "the table alone; no units (X, Y in m), no verdict, no covariance",
     ".npy": "alpha alone, NaN where disabled; no errors, no verdict",
@@ -24,15 +24,7 @@ LACKS = {  # of the other forms, and what they leave out
 
 
 def suffix_of(path: str | os.PathLike[str]) -> str:
-    """Return which of the forms a name ends in.
-
-    Raises
-    ------
-    OutputExists
-        It is a folder.
-    OutputFailed
-        It ends in none of them.
-    """
+    """Return the suffix of a name that decides its format; raise OutputExists or OutputFailed."""
     name = Path(path).name.lower()
     for suffix in (*WHOLE, *LACKS):
         if name.endswith(suffix):
@@ -47,7 +39,7 @@ def suffix_of(path: str | os.PathLike[str]) -> str:
 
 
 def lacking(calibration: AnyCalibration, path: str | os.PathLike[str]) -> str:
-    """Return what a file of that name does not tell of a calibration; empty where it tells all."""
+    """Return what a file of that name does not contain of a calibration; '' if it contains all."""
     lacks = LACKS.get(suffix_of(path), "")
     if not lacks:
         return ""
@@ -61,12 +53,7 @@ def lacking(calibration: AnyCalibration, path: str | os.PathLike[str]) -> str:
 def write_calibration(
     calibration: AnyCalibration, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Write a calibration in the form that the name ends in.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
+    """Write a calibration in the format of the suffix; raise OutputExists or OutputFailed."""
     suffix = suffix_of(path)
     if suffix in WHOLE:
         write.dispatch(object)(calibration, path, overwrite=overwrite)
@@ -80,7 +67,7 @@ def write_calibration(
 
 
 def _write_table(calibration: AnyCalibration, path: Path, suffix: str) -> None:
-    """Write the table with all digits; ECSV holds units, keywords and the verdict's faults, too."""
+    """Write the table with all digits; ECSV also has units, keywords and the verdict's faults."""
     from astropy.table import Column, Table
 
     kind, several = CALIBRATIONS, has_parts(calibration)

@@ -29,7 +29,7 @@ from truenewton.statics.layout import Layout
 
 
 class HasColumns(Protocol):
-    """What is drawn: a calibration, of one body or of several segments."""
+    """A calibration, of one body or of several segments."""
 
     @property
     def layout(self) -> Layout:
@@ -42,9 +42,9 @@ class HasColumns(Protocol):
 def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
-    The bars are three standard uncertainties from the readings (3 E_STAT), the paper's level. The
-    error of the common scale moves all points together: it stands above. Bars may hide in their
-    dots: a figure of its own has a second panel, of the errors (`plot_errors`).
+    The bars are three standard uncertainties from the readings (3 E_STAT), as in the paper. The
+    error of the common scale, which moves all points together, is in the title. A figure of its own
+    has a second panel with the errors (`plot_errors`), since bars may be smaller than the symbols.
     """
     own = ax is None
     with styled_axes(ax, 1.2 if own else 0.75) as ax:
@@ -84,7 +84,7 @@ def plot_errors(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     """Draw the errors of alpha per actuator, ring by ring, relative to alpha.
 
     E_SYST from the weights and E_STAT from the readings at one sigma, E_CYCLE from the scatter of
-    the cycles at three, as in the paper. What is unknown or zero is left out.
+    the cycles at three, as in the paper. Errors that are unknown or zero are left out.
     """
     with styled_axes(ax, 0.6) as ax:
         c, few = calibration, calibration.layout.n <= NAMED
@@ -124,15 +124,15 @@ def write_figures(
     Parameters
     ----------
     calibration
-        Whose alpha is drawn.
+        The calibration.
     folder
-        For the figures; made where it is not there.
+        For the figures; created if it does not exist.
     more
-        Further figures by name: what draws each and returns its axes.
+        Further figures by name: functions that draw one and return its axes.
     numbers
-        Each actuator of figure 6 bears alpha as a number, not its name alone.
+        Write alpha at each actuator of figure 6 instead of its name.
     overwrite
-        Replace figures that stand there.
+        Replace existing figures.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""From data to a calibration: one door to all methods, and the numbers where they belong."""
+"""From data to a calibration: the choice of the method, and its numbers for all actuators."""
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, overload
@@ -27,7 +27,7 @@ from truenewton.errors import (
 )
 from truenewton.estimation import campaign_ml
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import Diagnosis, Estimate, typical, with_warnings
+from truenewton.estimation.findings.estimate import Estimate, EstimateFacts, typical
 from truenewton.estimation.findings.finding import Finding, distinct
 from truenewton.estimation.matrix import modes as matrix_modes
 from truenewton.estimation.matrix.coherent_imbalance import doubts_of_balance
@@ -60,7 +60,8 @@ from truenewton.rounding import named, percent
 from truenewton.statics.layout import Layout
 
 Data = Measured
-Seen = Array | Mapping[int, Array]  # by sensors: by those of all segments, or of each by its number
+Seen = Array | Mapping[int, Array]  # by the sensors of all segments, or of each by its number
+Imbalances = tuple[matrix_modes.Imbalance, ...]
 
 
 class Options(NamedTuple):
@@ -71,24 +72,24 @@ class Options(NamedTuple):
 
 
 class Method(NamedTuple):
-    """A method: of a screened campaign to its estimate; of a stiffness, with what modes leave."""
+    """A method, for a screened campaign and for a stiffness, with the imbalance of its modes."""
 
     of_cycles: Callable[[ScreenedCampaign, Options], Estimate]
     of_stiffness: Callable[[ScreenedMatrix, Options], tuple[Estimate, Imbalances]]
 
 
 def _svd_of_cycles(screened: ScreenedCampaign, _: Options) -> Estimate:
-    """Solve the paper's system, of all rows; what the data are worth `ml` says, as for itself."""
+    """Solve the paper's system with all rows; the findings about the data are those of `ml`."""
     judged = campaign_ml.fit_campaign(screened)
     campaign = screened.campaign
     moments = campaign_moments(campaign) if screened.rejected else screened.moments
     found = paper_svd.solve_campaign(campaign, moments)
     effects = tuple(replace(effect, corrected=False) for effect in judged.effects)
     warnings = distinct((*found.diagnosis.warnings, *judged.diagnosis.warnings))
-    if judged.rejected:
-        warnings += (Finding.of(Code.SVD_USES_ALL_ROWS, count=len(judged.rejected)),)
+    if judged.rejected_rows:
+        warnings += (Finding.of(Code.SVD_USES_ALL_ROWS, count=len(judged.rejected_rows)),)
     diagnosis = replace(found.diagnosis, warnings=warnings)
-    fit = judged.goodness  # of `ml`: told where no alpha balances the data
+    fit = judged.goodness  # of `ml`: stated if no alpha balances the data
     goodness = fit if fit is not None and fit.probability < MIN_FIT_PROBABILITY else None
     return replace(found, effects=effects, diagnosis=diagnosis, goodness=goodness)
 
@@ -96,29 +97,29 @@ def _svd_of_cycles(screened: ScreenedCampaign, _: Options) -> Estimate:
 def _by_balance(
     screened: ScreenedMatrix, method: matrix_modes.ElasticMethod
 ) -> tuple[Estimate, Imbalances]:
-    """Return the estimate of a method that balances forces, and how well it does."""
+    """Return the estimate of a method that balances forces, and the imbalance that it leaves."""
     return _with_imbalances(screened, method, matrix_modes.fit_balance(screened, method))
 
 
 def _with_imbalances(
     screened: ScreenedMatrix, method: matrix_modes.ElasticMethod, estimate: Estimate
 ) -> tuple[Estimate, Imbalances]:
-    """Return an estimate, which says so where halves give no alpha, and how modes balance."""
+    """Return an estimate and the imbalance of its modes; warn if half of them is too few."""
     try:
         return estimate, matrix_modes.imbalances(screened, method, estimate.values)
     except (RankDeficient, NotConverged) as error:
         alone = Finding.of(Code.HALVES_INSUFFICIENT, fault=error.fault, remedy=error.remedy)
-        return with_warnings(estimate, (alone,)), ()
+        return estimate.with_warnings((alone,)), ()
 
 
 def _reciprocal(screened: ScreenedMatrix, options: Options) -> tuple[Estimate, Imbalances]:
-    """Return the estimate of reciprocity, and what speaks against it."""
+    """Return the estimate of reciprocity, with the reasons to doubt it."""
     base = matrix_modes.fit_balance(screened, matrix_modes.column_fit)
     with advising_ml():
         estimate, of_modes, against = reciprocity_of_matrix.fit_matrix(
             screened, base, options.motion
         )
-    return with_warnings(estimate, doubts(against)), of_modes
+    return estimate.with_warnings(doubts(against)), of_modes
 
 
 def _where_reciprocity_holds(
@@ -126,15 +127,19 @@ def _where_reciprocity_holds(
 ) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity, or that of `ml` with the reason.
 
-    That of `ml` comes first, for whoever does not want to wait.
+    That of `ml` is available first, if the user interrupts.
     """
     base = matrix_modes.fit_balance(screened, matrix_modes.column_fit)
 
     def of_balance(against: Iterable[Finding]) -> tuple[Estimate, Imbalances]:
-        told = with_warnings(base, instead(against))
+        told = base.with_warnings(instead(against))
         return _with_imbalances(screened, matrix_modes.column_fit, told)
 
-    report_progress(_in_short(base), keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
+    alpha = base.values[: len(base.reading_covariance)]
+    error = typical(np.sqrt(np.diag(base.reading_covariance)), alpha)
+    first = f"by the balance of forces alone (ml): alpha {alpha.min():.3g} .. {alpha.max():.3g},"
+    first += f" typical error {percent(error)}"
+    report_progress(first, keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
     try:
         estimate, of_modes, against = reciprocity_of_matrix.fit_matrix(
             screened, base, options.motion, where_it_holds=True
@@ -144,16 +149,6 @@ def _where_reciprocity_holds(
     except (RankDeficient, NotConverged) as error:
         against = (failed(error),)
     return of_balance(against)
-
-
-def _in_short(base: Estimate) -> str:
-    """Return the alpha of an estimate of `ml` and its error, in words."""
-    alpha = base.values[: len(base.reading_covariance)]
-    error = typical(np.sqrt(np.diag(base.reading_covariance)), alpha)
-    return (
-        f"by the balance of forces alone (ml): alpha {alpha.min():.3g} .. {alpha.max():.3g},"
-        f" typical error {percent(error)}"
-    )
 
 
 METHODS = {
@@ -212,36 +207,41 @@ def calibrate(
     Parameters
     ----------
     data
-        A campaign under two loads at least, or a measured stiffness matrix (relative alpha), or a
-        path, paths or cycles. Segments of a mirror are calibrated separately.
+        A campaign under at least two loads, or a measured stiffness matrix (relative
+        alpha), or a path, paths or cycles. Each segment of a segmented mirror is
+        calibrated by itself.
     method
-        'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which makes use of what the
-        sensors read; 'auto', reciprocity where it holds, else 'ml', which the verdict notes. Unless
-        given, 'auto' of a matrix and with ``motion``, else 'ml' (docs/decisions.md, 21).
+        'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which uses the
+        readings of the sensors; 'auto', reciprocity if it is accepted, otherwise
+        'ml', with the reason in the verdict. By default 'auto' for a matrix and with
+        ``motion``, otherwise 'ml' (docs/decisions.md, 21).
     population
-        Take the actuators for samples of one normal population of unknown spread: pulls what the
-        data hardly hold toward the mean. With 'ml' only; the result names it.
+        Take the actuators as samples of one normal population of unknown spread,
+        which pulls poorly determined patterns toward the mean. With 'ml' only; the
+        result names it.
     motion
-        (6, n, n) what the sensors see of the glass, from `sensor_model`; or (n, n)
-        displacements where forces act for those seen; of several segments, also {number: that of
-        each}. With 'reciprocity' and 'auto' only.
+        (6, n, n) what the sensors read of the glass, from `sensor_model`; or (n, n)
+        displacements at the forces for those at the sensors; for several segments
+        also {number: that of each}. With 'reciprocity' and 'auto' only.
     exclude
-        IDs of actuators whose alpha is not wanted, as of channels that are known to be bad. Those
-        of a matrix are released: the others are seen in states in which these push nothing.
+        IDs of actuators without alpha, such as channels that are known to be bad.
+        Those of a matrix are released: the others are taken in states in which these
+        exert no force.
     client
         A `dask.distributed.Client`, which ``read`` was given as well (docs/campaign.md).
     processes
-        How many segments are calibrated at once, each in a process of its own; unless given, as
-        many as there are processors, or one where segments are small or there is a client.
+        Number of segments calibrated at once, each in its own process; by default the
+        number of processors, or one if segments are small or there is a client.
 
     Raises
     ------
     RankDeficient
-        The data cannot fix alpha, of no segment; the message says what is missing.
+        The data cannot determine alpha, of no segment; the message says what is
+        missing.
     TooManyOutliers, NotConverged
         The data do not fit together.
     UnknownName, TypeError
-        There is no such method, or it takes no such data.
+        There is no such method, or it does not take such data.
 
     Warns
     -----
@@ -265,7 +265,7 @@ def calibrate(
     left = disabled(data, ids)
     if isinstance(left, Campaign):
         estimate = METHODS[method].of_cycles(screen_campaign(left, client), options)
-        made = without(calibration_of(left, estimate, client=client), ids)
+        made = _without(calibration_of(left, estimate, client=client), ids)
     else:
         made = _of_matrix(left, method, options, ids)
     warn_of(made)
@@ -275,10 +275,10 @@ def calibrate(
 def _of_matrix(
     matrix: StiffnessMatrix, method: str, options: Options, excluded: Sequence[int]
 ) -> Calibration:
-    """Calibrate; what is found before the end can be kept as a calibration, too."""
+    """Calibrate a matrix; if interrupted, the estimate so far can be kept as a calibration."""
 
     def made_of(found: tuple[Estimate, Imbalances]) -> Calibration:
-        return without(from_stiffness(screened, *found), excluded)
+        return _without(_of_stiffness(screened, *found), excluded)
 
     try:
         with threads(1), kept_as(made_of):
@@ -296,7 +296,7 @@ def _of_segments(
     excluded: Sequence[int],
     processes: int | None,
 ) -> Parts[Calibration]:
-    """Calibrate each segment by itself; one whose stiffness is coupled to others says so."""
+    """Calibrate each segment by itself, with a warning if its stiffness is coupled to others."""
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], Calibration]:
         seen = seen_of(motion, data.layout, number)
@@ -307,10 +307,8 @@ def _of_segments(
     couplings = {} if data.stiffness is None else segment_couplings(data.stiffness)
     for number, (size, own) in couplings.items():
         if number in found:
-            diagnosis = found[number].diagnosis or Diagnosis()
             coupled = Finding.of(Code.SEGMENTS_COUPLED, size=size, own=own)
-            diagnosis = replace(diagnosis, warnings=(*diagnosis.warnings, coupled))
-            found[number] = replace(found[number], diagnosis=diagnosis)
+            found[number] = found[number].with_warnings([coupled])
     return replace(made, found=found)
 
 
@@ -329,49 +327,48 @@ def resolve_method(
     population: bool,
     motion: Seen | None,
 ) -> tuple[str, Options]:
-    """Return the method that is asked for, as of `calibrate`, and what it is told.
+    """Return the method, by default chosen by the data, and its options, as of `calibrate`.
 
-    ``motion`` is (6, n, n) or (n, n). Raises UnknownName where there is no such method, or it takes
-    no such data.
+    Raises UnknownName if there is no such method, or it does not take such data or options;
+    ``motion`` is (6, n, n) or (n, n).
     """
     if method is None:
         tried = isinstance(data, StiffnessMatrix) or motion is not None
         method = "auto" if tried and not population else "ml"
-    if method not in METHODS:
-        raise UnknownName(
-            f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method
-        )
-    if population and method not in ("ml", "svd"):
-        raise UnknownName("a population goes with ml only", remedy="use ml", got=method)
     both = not isinstance(data, StiffnessMatrix) and data.cycles and data.stiffness
-    if method == "svd" and (population or both):
-        raise UnknownName(
-            "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
-        )
-    if motion is not None and method in ("ml", "svd"):
-        raise UnknownName(
-            f"{method} does not ask what the sensors see of the glass",
-            remedy="leave the mirror out, or use reciprocity or auto",
-            got=method,
-        )
-    if isinstance(motion, Mapping) and not has_parts(data):
-        raise UnknownName(
+    by_segment = isinstance(motion, Mapping)
+    for wrong, fault, remedy in (
+        (method not in METHODS, f"there is no method '{method}'", f"choose {', '.join(METHODS)}"),
+        (population and method not in ("ml", "svd"), "a population goes with ml only", "use ml"),
+        (
+            method == "svd" and (population or both),
+            "svd takes neither a population nor a stiffness matrix beside cycles",
+            "use ml",
+        ),
+        (
+            motion is not None and method in ("ml", "svd"),
+            f"{method} does not use what the sensors read of the glass",
+            "leave the mirror out, or use reciprocity or auto",
+        ),
+        (
+            by_segment and not has_parts(data),
             "motion is given by segment, and the data are of a mirror in one piece",
-            remedy="give the (6, n, n) or (n, n) motion of that mirror",
-            got=sorted(motion),
-        )
-    if isinstance(motion, Mapping):  # for segments, each of which is asked on its own
-        return method, Options(population)
-    return method, Options(population, motion)
+            "give the (6, n, n) or (n, n) motion of that mirror",
+        ),
+    ):
+        if wrong:
+            raise UnknownName(fault, remedy=remedy, got=method)
+    # Each segment is calibrated by a call of its own, with its own motion.
+    return method, Options(population, None if isinstance(motion, Mapping) else motion)
 
 
 def estimate_alpha(screened: ScreenedCampaign, method: str, options: Options) -> Estimate:
-    """Find alpha of a campaign that was screened, as `calibrate` does; 'ml' reads no row."""
+    """Return the estimate of a screened campaign by a method; 'ml' reads no row."""
     return METHODS[method].of_cycles(screened, options)
 
 
 def refusals(error: TrueNewtonError, screened: ScreenedCampaign | None) -> tuple[Fault, ...]:
-    """Return why there is no alpha, first what the error says, then what else is missing."""
+    """Return why there is no alpha: the fault of the error, then what else is missing."""
     first = Fault(error.fault, error.remedy)
     if screened is None or not isinstance(error, RankDeficient):
         return (first,)
@@ -389,7 +386,7 @@ def calibration_of(
     layout, cycles, on = campaign.layout, campaign.cycles, campaign.layout.enabled
     unknowns = Unknowns(int(on.sum()), len(campaign.loads))
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
-    lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(cycles))]
+    lost = [sum(row.cycle == k for row in estimate.rejected_rows) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
     cycle_errors.read(readers, client)
     return Calibration(
@@ -407,31 +404,24 @@ def calibration_of(
         weight=campaign.weight,
         weight_error=campaign.weight_error,
         temperature=mean_temperature(cycles),
-        shapes_used=sum(int(c.valid.sum()) for c in cycles) - len(estimate.rejected),
-        rejected=len(estimate.rejected),
+        shapes_used=sum(int(c.valid.sum()) for c in cycles) - len(estimate.rejected_rows),
+        rejected=len(estimate.rejected_rows),
         invalid=sum(int((~c.valid).sum()) for c in cycles),
         sources=tuple(
             Source(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()) - less, less)
             for c, less in zip(cycles, lost, strict=True)
             if c.source
         )
-        + matrix_source(campaign.stiffness),
-        rejected_rows=estimate.rejected,
-        effects=estimate.effects,
-        unseen=estimate.unseen,
-        **common(estimate, on),
+        + _matrix_source(campaign.stiffness),
+        **_numbers_of(estimate, on),
     )
 
 
-Imbalances = tuple[matrix_modes.Imbalance, ...]
-
-
-def from_stiffness(
+def _of_stiffness(
     screened: ScreenedMatrix, estimate: Estimate, imbalances: Imbalances
 ) -> Calibration:
     """Return an estimate from a stiffness matrix as a calibration."""
-    matrix, facts = screened.matrix, screened.facts
-    on = matrix.layout.enabled
+    matrix, facts, on = screened.matrix, screened.facts, screened.matrix.layout.enabled
     n = int(on.sum())
     alpha, gain = estimate.values[:n], None
     if estimate.sensors:
@@ -440,7 +430,7 @@ def from_stiffness(
     of_balance, covariance = doubts_of_balance(facts, alpha, covariance, ids)
     symmetry = symmetry_of(facts, alpha, gain)
     of_symmetry = doubts_of(facts.stiffness, alpha, symmetry)
-    estimate = with_warnings(estimate, (*of_symmetry, *of_balance))
+    estimate = estimate.with_warnings((*of_symmetry, *of_balance))
     # B is not to be had from elastic forces.
     reading, systematic = (
         np.pad(each, (0, 1), constant_values=np.nan)
@@ -452,28 +442,18 @@ def from_stiffness(
         date=matrix.date,
         date_end=matrix.date,
         layout=matrix.layout,
-        loads=(),
         cycle_error=np.full(matrix.layout.n, np.nan),
-        bias_force=float("nan"),
-        torque_y=np.empty(0),
-        torque_x=np.empty(0),
-        weight=float("nan"),
-        weight_error=float("nan"),
-        temperature=float("nan"),
         shapes_used=len(facts.elastic_modes.values),
-        rejected=0,
-        invalid=0,
-        sources=matrix_source(matrix, facts),
-        effects=estimate.effects,
+        sources=_matrix_source(matrix, facts),
         imbalances=imbalances,
         matrix_facts=symmetry,
         halves=spread(_halves(imbalances, n), on),
-        **common(estimate, on),
+        **_numbers_of(estimate, on),
     )
 
 
 def _halves(imbalances: Imbalances, n: int) -> Array:
-    """Return (n,) how far alpha of one half of the modes is above that of the other, relative."""
+    """Return (n,) the relative difference of alpha of the two halves of the modes."""
     fitted = [line.alpha for line in imbalances[1:] if line.alpha is not None]
     if [each.size for each in fitted] != [n, n]:
         return np.full(n, np.nan)
@@ -481,41 +461,33 @@ def _halves(imbalances: Imbalances, n: int) -> Array:
     return np.asarray(one - other)
 
 
-def matrix_source(
+def _matrix_source(
     matrix: StiffnessMatrix | None, facts: MatrixFacts | None = None
 ) -> tuple[Source, ...]:
-    """Return the file of a matrix, its elastic modes for rows; nothing where it has none."""
+    """Return the file of a matrix, if it has one, with the number of its elastic modes as rows."""
     if matrix is None or matrix.source is None:
         return ()
     modes = len((facts or MatrixFacts.of(matrix)).elastic_modes.values)
     return (replace(matrix.source, file=Path(matrix.source.file).name, rows=modes),)
 
 
-def common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return what is the same for all data, spread over all actuators, (n,)."""
-    n, goodness = int(on.sum()), estimate.goodness
-    reading, systematic = estimate.reading_covariance, estimate.systematic_covariance
+def _numbers_of(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the fields of a calibration that an estimate determines, for all actuators, (n,)."""
+    n, reading = int(on.sum()), estimate.reading_covariance
+    systematic = estimate.systematic_covariance
     return {
-        **attributes(estimate, "method", "condition", "solved_condition", "rank", "noise"),
-        **attributes(estimate, "diagnosis", "goodness", "scale_errors", "sensors"),
-        "scale": estimate.scale.value,
+        **attributes(estimate, *(each.name for each in fields(EstimateFacts))),
+        "scale": str(estimate.scale),
         "alpha": spread(estimate.values[:n], on),
         "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
         "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
         "covariance": spread_covariance(reading + systematic, on),
         "systematic_covariance": spread_covariance(systematic, on),
-        "degrees_of_freedom": goodness.degrees_of_freedom if goodness else None,
-        "chi2": estimate.declared_chi2,
     }
 
 
 def require_known(layout: Layout, ids: Collection[int]) -> None:
-    """Refuse IDs that no actuator has.
-
-    Raises
-    ------
-    UnknownName
-    """
+    """Raise UnknownName for IDs that no actuator has."""
     unknown = sorted(set(ids) - set(layout.id.tolist()))
     if unknown:
         raise UnknownName(
@@ -526,35 +498,33 @@ def require_known(layout: Layout, ids: Collection[int]) -> None:
 
 
 def disabled(data: Campaign | StiffnessMatrix, ids: Sequence[int]) -> Campaign | StiffnessMatrix:
-    """Return data in which excluded actuators are disabled, as far as the balance allows.
+    """Return data in which excluded actuators are disabled, if the balance allows that.
 
     Those of a matrix are released (`matrix.screen.released`). One of a campaign is disabled if its
-    FORCE never changes; the force of others is part of the balance, and alpha is fitted to it.
+    FORCE never changes; otherwise its force is part of the balance, and its alpha is fitted.
     """
     if not ids:
         return data
     if isinstance(data, StiffnessMatrix):
-        return replace(data, layout=_without(data.layout, np.isin(data.layout.id, ids)))
+        return replace(data, layout=_disable(data.layout, np.isin(data.layout.id, ids)))
     out = np.isin(data.layout.id, ids)
     for cycle in data.cycles:
         out &= np.ptp(np.asarray(cycle.force)[np.asarray(cycle.valid)], axis=0) == 0.0
     if not out.any():
         return data
-    cycles = tuple(replace(c, layout=_without(c.layout, out)) for c in data.cycles)
-    matrix = data.stiffness
-    if matrix is not None:
-        matrix = replace(matrix, layout=_without(matrix.layout, out))
+    cycles = tuple(replace(c, layout=_disable(c.layout, out)) for c in data.cycles)
+    matrix = data.stiffness and replace(data.stiffness, layout=_disable(data.stiffness.layout, out))
     return replace(data, cycles=cycles, stiffness=matrix)
 
 
-def without(calibration: Calibration, ids: Sequence[int]) -> Calibration:
-    """Return a calibration that gives no alpha of some actuators, by their IDs."""
+def _without(calibration: Calibration, ids: Sequence[int]) -> Calibration:
+    """Return a calibration without alpha of some actuators, by their IDs."""
     layout = calibration.layout
     out = np.isin(layout.id, ids) & layout.enabled
     if not out.any():
         return calibration
     names = ("alpha", "reading_error", "systematic_error", "cycle_error", "halves")
-    values = {name: getattr(calibration, name) for name in names}
+    values = attributes(calibration, *names)
     changed: dict[str, Any] = {
         k: np.where(out, np.nan, v) for k, v in values.items() if v is not None
     }
@@ -563,8 +533,8 @@ def without(calibration: Calibration, ids: Sequence[int]) -> Calibration:
         matrix[: layout.n][out] = np.nan
         matrix[:, : layout.n][:, out] = np.nan
         changed[name] = matrix
-    return replace(calibration, layout=_without(layout, out), **changed)
+    return replace(calibration, layout=_disable(layout, out), **changed)
 
 
-def _without(layout: Layout, out: NDArray[np.bool_]) -> Layout:
+def _disable(layout: Layout, out: NDArray[np.bool_]) -> Layout:
     return replace(layout, enabled=layout.enabled & ~out)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import datetime
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -18,13 +19,11 @@ from truenewton.estimation.findings.estimate import (
     Diagnosis,
     ErrorKind,
     ErrorSource,
+    EstimateFacts,
     Goodness,
     NoiseSource,
-    RejectedRow,
     Scale,
     ScaleError,
-    Sensor,
-    UnseenError,
 )
 from truenewton.estimation.findings.finding import Finding, Verdict, from_stored
 from truenewton.estimation.matrix.facts import Symmetry
@@ -55,17 +54,17 @@ if TYPE_CHECKING:
 LARGEST_ALPHA = 1e9  # true Newton / commanded Newton, and one over the smallest: squares are finite
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Calibration(Result):
-    """True Newtons per commanded Newton, with what is needed to trust them.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Calibration(Result, EstimateFacts):
+    """Alpha of every actuator with its uncertainties, and what is needed to trust them.
 
-    Unknown numbers are NaN. Arrays over actuators are in the order of ``layout``, NaN where an
+    Unknown numbers are NaN. Arrays over actuators are in the order of ``layout``, NaN if an
     actuator is disabled; arrays over loads in the order of ``loads``.
 
     Attributes
     ----------
     instrument, date, date_end
-        The mirror; when its data begin and end (UTC).
+        The mirror; start and end of its data (UTC).
     method, scale
         'svd', ...; 'weights', 'given' or 'mean 1'.
     layout, loads
@@ -73,7 +72,7 @@ class Calibration(Result):
     alpha
         (n,) true Newton / commanded Newton.
     reading_error, systematic_error, cycle_error
-        (n,) E_STAT from reading noise, E_SYST from the weights, E_CYCLE the paper's.
+        (n,) E_STAT from reading noise, E_SYST from the weights, E_CYCLE as in the paper.
     covariance, systematic_covariance
         (n + 1 + 2L, n + 1 + 2L) of alpha, B, then M_y, M_x of each load; all, and the part from
         the weights.
@@ -88,7 +87,7 @@ class Calibration(Result):
     shapes_used, rejected, invalid
         Rows used, rejected as outliers, marked as not valid.
     condition, rank
-        Of E, each coordinate in units of its RMS; directions that the data hold above noise.
+        Of E, each coordinate in units of its RMS; directions that the data determine.
     solved_condition
         Of E as svd solves it, torques in N m; NaN of other methods.
     noise, degrees_of_freedom, chi2
@@ -96,25 +95,26 @@ class Calibration(Result):
     sources
         The files.
     diagnosis, goodness
-        How well alpha is determined, of which a file holds the warnings alone; and how well the
-        data fit.
+        How well alpha is determined (a file contains only the warnings), and how well the data
+        fit.
     scale_errors
-        What limits the common scale, largest first.
+        Budget of the common scale, largest first.
     rejected_rows
         The rows left out.
     effects
-        What the bench did beside the model, the likeliest first.
+        Bench effects that were found, the most likely first.
     unseen
-        What the data cannot show, and would do to the common scale; in none of the errors.
+        Effects that the data cannot show, with their change of the common scale; in none of the
+        errors.
     imbalances
-        Of elastic modes, fitted and held out; empty but for a stiffness file.
+        Of elastic modes, fitted and held out; empty except for a stiffness file.
     sensors
-        Gains and places of the sensors by reciprocity; empty by other methods.
+        Gains and positions of the sensors by reciprocity; empty by other methods.
     matrix_facts
         Symmetry of a stiffness matrix; None of campaigns, and in older files.
     halves
         (n,) relative alpha fitted on the even modes less that fitted on the odd: cross-validation
-        of a matrix; None or NaN where there is none.
+        of a matrix; None or NaN if there is none.
 
     Examples
     --------
@@ -130,71 +130,61 @@ class Calibration(Result):
     instrument: str
     date: datetime.datetime
     date_end: datetime.datetime
-    method: str
-    scale: str
     layout: Layout
-    loads: tuple[Load, ...]
     alpha: Array
     reading_error: Array
     systematic_error: Array
-    cycle_error: Array
     covariance: Array
     systematic_covariance: Array
-    bias_force: float
-    torque_y: Array
-    torque_x: Array
-    weight: float
-    weight_error: float
-    temperature: float
+    cycle_error: Array
+    loads: tuple[Load, ...] = ()
+    bias_force: float = float("nan")
+    torque_y: Array = field(default_factory=lambda: np.empty(0))
+    torque_x: Array = field(default_factory=lambda: np.empty(0))
+    weight: float = float("nan")
+    weight_error: float = float("nan")
+    temperature: float = float("nan")
     shapes_used: int
-    rejected: int
-    invalid: int
-    condition: float
-    rank: int
-    noise: float
-    degrees_of_freedom: int | None
-    chi2: float
+    rejected: int = 0
+    invalid: int = 0
     sources: tuple[Source, ...]
-    diagnosis: Diagnosis | None = None
-    goodness: Goodness | None = None
-    scale_errors: tuple[ScaleError, ...] = ()
-    solved_condition: float = float("nan")
-    rejected_rows: tuple[RejectedRow, ...] = ()
-    effects: tuple[Finding, ...] = ()
-    unseen: tuple[UnseenError, ...] = ()
     imbalances: tuple[Imbalance, ...] = ()
-    sensors: tuple[Sensor, ...] = ()
     matrix_facts: Symmetry | None = None
     halves: Array | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "alpha", "reading_error", "systematic_error", "cycle_error", "covariance",
                "systematic_covariance", "torque_y", "torque_x")  # fmt: skip
-        on = self.layout.enabled
-        if not (on.any() and np.isfinite(self.alpha[on]).all() and np.abs(self.alpha[on]).all()):
-            raise FormatError("ALPHA holds no usable numbers", remedy="calibrate again")
+        fault = next(self._faults(), None)
+        if fault:
+            raise FormatError(fault, remedy="calibrate again")
+        if self.scale not in tuple(Scale):
+            raise FormatError(f"SCALE is '{self.scale}'", remedy=f"it is {', '.join(Scale)}")
+        for load in self.loads:
+            check_load(load)
+
+    def _faults(self) -> Iterator[str]:
+        """Yield which numbers cannot be."""
+        alpha = np.abs(self.alpha[self.layout.enabled])
+        if not (alpha.size and np.isfinite(alpha).all() and alpha.all()):
+            yield "ALPHA holds no usable numbers"
         for name, errors in (("E_STAT", self.reading_error), ("E_SYST", self.systematic_error),
                              ("E_CYCLE", self.cycle_error),
                              ("COVARIANCE", np.diag(self.covariance))):  # fmt: skip
             if (errors < 0).any() or np.isinf(errors).any():
-                raise FormatError(f"{name} is negative or infinite", remedy="calibrate again")
+                yield f"{name} is negative or infinite"
         if self.weight >= 0.0 or self.weight_error < 0.0:
-            raise FormatError("WEIGHT or E_WEIGHT has the wrong sign", remedy="calibrate again")
-        if self.scale not in tuple(Scale):
-            raise FormatError(f"SCALE is '{self.scale}'", remedy=f"it is {', '.join(Scale)}")
+            yield "WEIGHT or E_WEIGHT has the wrong sign"
         for sensor in self.sensors:
             sizes = (1.0 / sensor.gain if sensor.gain else np.inf, sensor.x, sensor.y)
             if sensor.state == "fitted" and not np.isfinite(sizes).all():
-                raise FormatError("SENSORS holds no usable numbers", remedy="calibrate again")
-        for load in self.loads:
-            check_load(load)
+                yield "SENSORS holds no usable numbers"
         known = (self.torque_y, self.torque_x, self.bias_force) if self.loads else ()
         if not all(np.isfinite(each).all() for each in known):
-            raise FormatError("BIAS, MY or MX is no number", remedy="calibrate again")
-        alpha = np.abs(self.alpha[on])
+            yield "BIAS, MY or MX is no number"
         sane = alpha.min() > 1 / LARGEST_ALPHA and alpha.max() < LARGEST_ALPHA
-        if not (sane and np.isfinite(self.error[on]).all()):
-            raise FormatError("ALPHA or its error is absurd", remedy="calibrate again")
+        if not (sane and np.isfinite(self.error[self.layout.enabled]).all()):
+            yield "ALPHA or its error is absurd"
 
     def __repr__(self) -> str:
         on = self.layout.enabled
@@ -206,19 +196,24 @@ class Calibration(Result):
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Whether the stated errors hold, with all findings; by what a file contains."""
+        """Whether the stated errors are valid, with all findings; from what a file contains."""
         verdict: Verdict = verdict_of(self)
         return verdict
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """All that was found, the worst first."""
+        """All findings, the worst first."""
         return self.verdict.findings
 
     @property
     def error(self) -> Array:
         """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
         return np.asarray(np.hypot(self.reading_error, self.systematic_error))
+
+    @property
+    def degrees_of_freedom(self) -> int | None:
+        """Degrees of freedom of the fit; None if it was not judged."""
+        return self.goodness.degrees_of_freedom if self.goodness else None
 
     @property
     def bias_force_error(self) -> float:
@@ -269,6 +264,11 @@ class Calibration(Result):
 AnyCalibration = Calibration | Parts[Calibration]
 
 
+def _optional(name: str, of: str, *columns: Column) -> TableFormat:
+    """Return a table of the records ``of`` a calibration that a file may lack."""
+    return TableFormat(name, columns, of, optional=True)
+
+
 ACTUATORS = TableFormat(
     "CALIBRATION",
     (
@@ -305,7 +305,9 @@ CALIBRATION = FileFormat(
         Keyword("SOLVCOND", "solved_condition", "condition of E as svd solves it", absent=np.nan),
         Keyword("RANK", "rank", "directions held above noise", kind="int"),
         Keyword("NOISE", "noise", "standard deviation of one force reading", "N", absent=np.nan),
-        Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="count", absent=None),
+        Keyword(
+            "DOF", "goodness.degrees_of_freedom", "degrees of freedom", kind="count", absent=None
+        ),
         Keyword("CHI2", "chi2", "against FORCERR", absent=np.nan),
         Keyword("FITCHI2", "goodness.chi2", "of the balance against FITNOISE", absent=np.nan),
         Keyword("FITNOISE", "goodness.against", "source of the noise", kind="str", absent=""),
@@ -338,87 +340,69 @@ CALIBRATION = FileFormat(
         ImageFormat("COVARIANCE", "covariance"),
         ImageFormat("SYSTEMATIC", "systematic_covariance"),
         SOURCES,
-        TableFormat(
+        _optional(
             "REJECTED",
-            (
-                Column("CYCLE", "cycle", kind="int"),
-                Column("ROW", "row", kind="int"),
-                Column("ACTUATOR", "actuator", kind="int"),
-                Column("SIGMAS", "sigmas"),
-                Column("AGAINST", "against", kind="str"),
-            ),
-            of="rejected_rows",
-            optional=True,
+            "rejected_rows",
+            Column("CYCLE", "cycle", kind="int"),
+            Column("ROW", "row", kind="int"),
+            Column("ACTUATOR", "actuator", kind="int"),
+            Column("SIGMAS", "sigmas"),
+            Column("AGAINST", "against", kind="str"),
         ),
-        TableFormat(
+        _optional(
             "EFFECTS",
-            (
-                Column("CODE", "code", kind="str", absent=""),
-                Column("EFFECT", "name", kind="str"),
-                Column("DETAIL", "detail", kind="str", absent=""),
-                Column("PLACE", "where", kind="str"),
-                Column("ACTUATORS", "ids", kind="str", absent=""),
-                Column("PROBABILITY", "probability"),
-                Column("SIZE", "size"),
-                Column("UNIT", "unit", kind="str"),
-                Column("CORRECTED", "corrected", kind="bool"),
-                Column("REMEDY", "remedy", kind="str"),
-            ),
-            of="effects",
-            optional=True,
+            "effects",
+            Column("CODE", "code", kind="str", absent=""),
+            Column("EFFECT", "name", kind="str"),
+            Column("DETAIL", "detail", kind="str", absent=""),
+            Column("PLACE", "where", kind="str"),
+            Column("ACTUATORS", "ids", kind="str", absent=""),
+            Column("PROBABILITY", "probability"),
+            Column("SIZE", "size"),
+            Column("UNIT", "unit", kind="str"),
+            Column("CORRECTED", "corrected", kind="bool"),
+            Column("REMEDY", "remedy", kind="str"),
         ),
-        TableFormat(
+        _optional(
             "WARNINGS",
-            (
-                Column("CODE", "code", kind="str", absent=""),
-                Column("LEVEL", "grade", kind="str", absent=""),
-                Column("FAULT", "fault", kind="str"),
-                Column("REMEDY", "remedy", kind="str"),
-                Column("VALUES", "stored", kind="str", absent=""),
-            ),
-            of="diagnosis.warnings",
-            optional=True,
+            "diagnosis.warnings",
+            Column("CODE", "code", kind="str", absent=""),
+            Column("LEVEL", "level", kind="str", absent=""),
+            Column("FAULT", "fault", kind="str"),
+            Column("REMEDY", "remedy", kind="str"),
+            Column("VALUES", "stored", kind="str", absent=""),
         ),
-        TableFormat(
+        _optional(
             "BUDGET",
-            (
-                Column("KIND", "source.kind.name", kind="str"),
-                Column("NAME", "source.name", kind="str", absent=""),
-                Column("RELATIVE", "relative", finite=True),
-            ),
-            of="scale_errors",
-            optional=True,
+            "scale_errors",
+            Column("KIND", "source.kind.name", kind="str"),
+            Column("NAME", "source.name", kind="str", absent=""),
+            Column("RELATIVE", "relative", finite=True),
         ),
-        TableFormat(
+        _optional(
             "UNSEEN",
-            (Column("WHAT", "name", kind="str"), Column("RELATIVE", "relative", finite=True)),
-            of="unseen",
-            optional=True,
+            "unseen",
+            Column("WHAT", "name", kind="str"),
+            Column("RELATIVE", "relative", finite=True),
         ),
-        TableFormat(
+        _optional(
             "IMBALANCE",
-            (
-                Column("MODES", "modes", kind="str"),
-                Column("BEFORE", "before"),
-                Column("AFTER", "after"),
-            ),
-            of="imbalances",
-            optional=True,
+            "imbalances",
+            Column("MODES", "modes", kind="str"),
+            Column("BEFORE", "before"),
+            Column("AFTER", "after"),
         ),
-        TableFormat(
+        _optional(
             "SENSORS",
-            (
-                Column("ID", "actuator", kind="int"),
-                Column("GAIN", "gain"),
-                Column("E_GAIN", "gain_error"),
-                Column("DX", "x", "m"),
-                Column("E_DX", "x_error", "m"),
-                Column("DY", "y", "m"),
-                Column("E_DY", "y_error", "m"),
-                Column("STATE", "state", kind="str"),
-            ),
-            of="sensors",
-            optional=True,
+            "sensors",
+            Column("ID", "actuator", kind="int"),
+            Column("GAIN", "gain"),
+            Column("E_GAIN", "gain_error"),
+            Column("DX", "x", "m"),
+            Column("E_DX", "x_error", "m"),
+            Column("DY", "y", "m"),
+            Column("E_DY", "y_error", "m"),
+            Column("STATE", "state", kind="str"),
         ),
     ),
 )
@@ -429,12 +413,9 @@ VARIANCE_TOLERANCE = 1e-3  # relative; rounding to 32 bits allowed
 
 
 def calibration_from(file: FitsFile) -> Calibration:
-    """Return the calibration that a file holds.
+    """Return the calibration that a file contains.
 
-    Raises
-    ------
-    FormatError
-        The file breaks the contract of a calibration file.
+    Raises FormatError if the file is not as declared.
     """
     values = file.values(CALIBRATION, MAX_NUMBER)
     values["layout"]["enabled"] = file.enabled(values["alpha"], "calibrate again")
@@ -442,9 +423,13 @@ def calibration_from(file: FitsFile) -> Calibration:
     file.require_covariances(count, "n + 1 + 2 L", "calibrate again")
     _refuse_disagreement(file, values)
     try:
-        values["goodness"] = _goodness(values["degrees_of_freedom"], **values["goodness"])
-        values["scale_errors"] = _scale_errors(values.pop("scale_errors", None))
-        values["effects"] = _findings(values.pop("effects", None))
+        values["goodness"] = _goodness(**values["goodness"])
+        if "scale_errors" in values:
+            values["scale_errors"] = tuple(_scale_errors(**values["scale_errors"]))
+        if "effects" in values:
+            names, rows = values["effects"], _rows(*values["effects"].values())
+            found = (_finding(**dict(zip(names, row, strict=True))) for row in rows)
+            values["effects"] = tuple(found)
     except (KeyError, ValueError) as error:
         raise FormatError(
             f"FITNOISE, a KIND of BUDGET or ACTUATORS of EFFECTS is {error}",
@@ -453,10 +438,18 @@ def calibration_from(file: FitsFile) -> Calibration:
         ) from None
     facts = Symmetry(**values.pop("matrix_facts"))
     values["matrix_facts"] = facts if np.isfinite(facts.asymmetry) else None
-    warnings = values.pop("diagnosis", {}).get("warnings")
-    if warnings is not None:
-        values["diagnosis"] = Diagnosis(warnings=_warnings(warnings))
+    if "diagnosis" in values:
+        warnings = values["diagnosis"]["warnings"]
+        rows = _rows(*(warnings[name] for name in ("code", "level", "fault", "remedy", "stored")))
+        found = (_warning(*row) for row in rows if row[0] or not row[2].startswith(REPEATED))
+        values["diagnosis"] = Diagnosis(warnings=tuple(found))
     return file.filled(Calibration, values)
+
+
+def _rows(*columns: Any) -> Iterator[tuple[Any, ...]]:
+    """Return the rows of columns that are arrays or tuples of texts."""
+    lists = (each.tolist() if isinstance(each, np.ndarray) else each for each in columns)
+    return zip(*lists, strict=True)
 
 
 def _refuse_disagreement(file: FitsFile, values: dict[str, Any]) -> None:
@@ -476,24 +469,22 @@ def _refuse_disagreement(file: FitsFile, values: dict[str, Any]) -> None:
 
 
 def _goodness(
-    freedom: int | None, chi2: float, against: str, probability: float
+    degrees_of_freedom: int | None, chi2: float, against: str, probability: float
 ) -> Goodness | None:
-    """Return how well the data fit; None of files that do not say, or where it has no meaning."""
-    if freedom is None or not against:
+    """Return how well the data fit; None if the file does not contain it."""
+    if degrees_of_freedom is None or not against:
         return None
-    return Goodness(chi2, freedom, NoiseSource(against), probability)
+    return Goodness(chi2, degrees_of_freedom, NoiseSource(against), probability)
 
 
-def _findings(columns: dict[str, Any] | None) -> tuple[Finding, ...]:
-    """Return what was found; of files that have no codes, by its name and place."""
-    if columns is None:
-        return ()
-    cells = (each.tolist() if isinstance(each, np.ndarray) else each for each in columns.values())
-    rows = zip(*cells, strict=True)
-    return tuple(_finding(**dict(zip(columns, row, strict=True))) for row in rows)
+def _scale_errors(source: dict[str, Any], relative: Array) -> Iterator[ScaleError]:
+    """Yield the budget of the common scale."""
+    for kind, name, size in _rows(source["kind"]["name"], source["name"], relative):
+        yield ScaleError(ErrorSource(ErrorKind[kind], name), size)
 
 
 def _finding(code: str, name: str, detail: str, where: str, ids: str, **values: Any) -> Finding:
+    """Return a finding of table EFFECTS; without a code (earlier versions) by name and place."""
     if not code:
         found, detail = read_name(name)
         actuator, _, only = where.partition(" ")
@@ -506,31 +497,13 @@ def _finding(code: str, name: str, detail: str, where: str, ids: str, **values: 
     return Finding(code=found, detail=detail, where=where, actuators=actuators, **values)
 
 
-def _warnings(columns: dict[str, Any]) -> tuple[Finding, ...]:
-    """Return what is weak in a result; of files without codes, and of newer ones, by its text."""
-    rows = zip(
-        *(columns[name] for name in ("code", "grade", "fault", "remedy", "stored")), strict=True
-    )
-    return tuple(_warning(*row) for row in rows if row[0] or not str(row[2]).startswith(REPEATED))
-
-
 def _warning(code: str, level: str, fault: str, remedy: str, stored: str) -> Finding:
+    """Return a finding of table WARNINGS; of other versions by its text."""
     try:
         return from_stored(code, remedy, json.loads(stored))
     except (KeyError, ValueError, TypeError, AttributeError):
         graded = Level.read(level) if level else read_warning(fault)
         return Finding(code=Code.OTHER, detail=fault, graded=graded, remedy=remedy)
-
-
-def _scale_errors(columns: dict[str, Any] | None) -> tuple[ScaleError, ...]:
-    """Return the budget of the common scale; nothing of files that do not say."""
-    if columns is None:
-        return ()
-    source = columns["source"]
-    rows = zip(source["kind"]["name"], source["name"], columns["relative"].tolist(), strict=True)
-    return tuple(
-        ScaleError(ErrorSource(ErrorKind[kind], name), relative) for kind, name, relative in rows
-    )
 
 
 CALIBRATIONS = ResultKind(

@@ -1,4 +1,4 @@
-"""A calibration in words and numbers: for a terminal, a page, a script."""
+"""Text and numbers of a calibration for the terminal, the report and JSON."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from truenewton.arrays import Array
 from truenewton.calibration.result import ACTUATORS, CALIBRATIONS, AnyCalibration, Calibration
 from truenewton.calibration.verdict import NO_ERROR, rejected_sentence, scale_limit
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import (
-    Diagnosis,
     NoiseSource,
     RejectedRow,
     Scale,
@@ -23,7 +22,6 @@ from truenewton.estimation.findings.estimate import (
     typical,
 )
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
-from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.files.format import attributes, columns_by_name
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
@@ -49,12 +47,17 @@ NOISE_FROM = {
 def all_lines(
     calibration: AnyCalibration, data: Campaign | StiffnessMatrix | SegmentedData
 ) -> Iterator[str]:
-    """Yield the summary of a calibration; of one body the imbalances and rejected rows, too."""
+    """Yield the summary of a calibration; of one body also imbalances and rejected rows."""
     yield from summary_lines(calibration)
-    if not has_parts(calibration):
-        yield from imbalance_lines(calibration.imbalances)
-        if isinstance(data, Campaign):
-            yield from rejected_lines(data, calibration.rejected_rows)
+    if has_parts(calibration):
+        return
+    if calibration.imbalances:
+        yield "  rms imbalance of elastic modes, force and torques, per unit of force:"
+        yield f"    {'':<32}alpha = 1   calibrated"
+        for line in calibration.imbalances:
+            yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
+    if isinstance(data, Campaign):
+        yield from rejected_lines(data, calibration.rejected_rows)
 
 
 def summary_lines(calibration: AnyCalibration) -> Iterator[str]:
@@ -106,61 +109,40 @@ def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Itera
         yield f"  and {counted(len(rows) - 5, 'row')} more"
 
 
-def imbalance_lines(imbalances: Sequence[Imbalance]) -> Iterator[str]:
-    """Yield a table of the imbalance of elastic modes before and after, if there are any."""
-    if imbalances:
-        yield "  rms imbalance of elastic modes, force and torques, per unit of force:"
-        yield f"    {'':<32}alpha = 1   calibrated"
-        for line in imbalances:
-            yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
-
-
 def summary_values(calibration: AnyCalibration) -> dict[str, Any]:
     """Return the same figures for a script."""
-    c = calibration
+    c, table = calibration, CALIBRATIONS.actuators if has_parts(calibration) else ACTUATORS
+    actuators = columns_by_name(c, table, "alpha", "e_alpha", "e_stat", "e_syst", "e_cycle")
     if has_parts(c):
-        return _values_of_parts(c)
+        return {
+            "instrument": c.instrument,
+            "date": _first_date(c),
+            "verdict": c.verdict,
+            "actuators": {**attributes(c.layout, "id", "segment"), **actuators},
+            "segments": [
+                {"segment": number, **summary_values(c.found[number])}
+                if number in c.found
+                else {"segment": number, "verdict": no_alpha(c.failed[number])}
+                for number in c.numbers
+            ],
+        }
     errors = c.torque_errors
     torques = c.loads, c.torque_y, errors[:, 0], c.torque_x, errors[:, 1]
     names = "load", "torque_y", "e_torque_y", "torque_x", "e_torque_x"
-    diagnosis = c.diagnosis or Diagnosis()
     return {
         **attributes(c, "instrument", "date", "verdict", "method", "scale", shapes="shapes_used"),
         **attributes(c, "invalid", "rejected", "noise", "condition", "solved_condition", "rank"),
-        "separation": diagnosis.separation,
-        "warnings": [each.fault for each in diagnosis.warnings],
+        **attributes(c, separation="diagnosis.separation", warnings="diagnosis.warnings.fault"),
         **attributes(c, "bias_force", e_bias_force="bias_force_error"),
         "loads": [
             dict(zip(names, (load.name, *of_it), strict=True))
             for load, *of_it in zip(*torques, strict=True)
         ],
-        "actuators": {"id": c.layout.id, **_actuator_values(c)},
+        "actuators": {"id": c.layout.id, **actuators},
         **attributes(c, "chi2", "degrees_of_freedom", "goodness", "scale_errors", "effects"),
-        **attributes(c, "unseen", "sensors"),
-        "weakest": diagnosis.weakest,
+        **attributes(c, "unseen", "sensors", weakest="diagnosis.weakest"),
         **attributes(c, imbalance="imbalances", matrix="matrix_facts", halves="halves"),
     }
-
-
-def _values_of_parts(c: Parts[Calibration]) -> dict[str, Any]:
-    return {
-        **attributes(c, "instrument"),
-        "date": _first_date(c),
-        "verdict": c.verdict,
-        "actuators": {**attributes(c.layout, "id", "segment"), **_actuator_values(c)},
-        "segments": [
-            {"segment": number, **summary_values(c.found[number])}
-            if number in c.found
-            else {"segment": number, "verdict": no_alpha(c.failed[number])}
-            for number in c.numbers
-        ],
-    }
-
-
-def _actuator_values(c: AnyCalibration) -> dict[str, Array]:
-    """Return (n,) alpha and its errors by their names."""
-    table = CALIBRATIONS.actuators if has_parts(c) else ACTUATORS
-    return columns_by_name(c, table, "alpha", "e_alpha", "e_stat", "e_syst", "e_cycle")
 
 
 def _first_date(c: Parts[Calibration]) -> datetime.datetime:
@@ -170,24 +152,18 @@ def _first_date(c: Parts[Calibration]) -> datetime.datetime:
 def headline(calibration: AnyCalibration) -> str:
     """Return what was calibrated, from how much."""
     c, on = calibration, calibration.layout.enabled
+    text = f"{c.instrument}, {_first_date(c) if has_parts(c) else c.date:%Y-%m-%d}:"
+    text += f" {counted(int(on.sum()), 'actuator')}"
+    text += f" ({(~on).sum()} disabled)" if not on.all() else ""
     if has_parts(c):
-        return (
-            f"{c.instrument}, {_first_date(c):%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
-            + (f" ({(~on).sum()} disabled)" if not on.all() else "")
-            + f" of {counted(c.numbers, 'segment')}"
-            + (f", {len(c.failed)} without alpha" if c.failed else "")
-        )
-    return (
-        f"{c.instrument}, {c.date:%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
-        + (f" ({(~on).sum()} disabled)" if not on.all() else "")
-        + (
-            f", {counted(c.shapes_used, 'row')} under {counted(c.loads, 'load')}"
-            if c.loads
-            else f", {counted(c.shapes_used, 'elastic mode')}"
-        )
-        + (f", {counted(c.invalid, 'row')} not valid left out" if c.invalid else "")
-        + (", by reciprocity" if c.sensors else "")
-    )
+        failed = f", {len(c.failed)} without alpha" if c.failed else ""
+        return f"{text} of {counted(c.numbers, 'segment')}{failed}"
+    if c.loads:
+        text += f", {counted(c.shapes_used, 'row')} under {counted(c.loads, 'load')}"
+    else:
+        text += f", {counted(c.shapes_used, 'elastic mode')}"
+    text += f", {counted(c.invalid, 'row')} not valid left out" if c.invalid else ""
+    return text + (", by reciprocity" if c.sensors else "")
 
 
 @summary_of.register(Calibration)
@@ -198,75 +174,72 @@ def _summary(calibration: AnyCalibration) -> Summary:
 
 
 def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
-    """Yield name, value and note of what was found, how sure it is, and what limits it."""
-    c, ids = calibration, calibration.layout.id
-    if has_parts(c):
-        yield from _rows_of_parts(c)
+    """Yield name, value and note of each result, its uncertainty, and what limits it."""
+    if has_parts(calibration):
+        yield from _rows_of_parts(calibration)
         return
-    low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
-    ends = " .. ".join(to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high))
+    c = calibration
+    ends, ids = _range_of_alpha(c)
     ratio = "relative, mean 1" if c.scale == Scale.MEAN_ONE else "true N / commanded N"
-    note = f"{ratio}; actuators {ids[low]} and {ids[high]}"
-    yield "alpha", ends, note
-    relative = typical(c.error, c.alpha)
-    yield "typical error of alpha", percent(relative), "E_ALPHA, one sigma"
+    yield "alpha", ends, f"{ratio}; actuators {ids[0]} and {ids[1]}"
+    yield "typical error of alpha", percent(typical(c.error, c.alpha)), "E_ALPHA, one sigma"
     if c.scale == Scale.MEAN_ONE:
         yield "common scale", "not measured", "cycles under known weights would determine it"
         yield from _symmetry(c)
     else:
         yield from _budget(c)
         yield "bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""
-        for load, *torques, errors in zip(
-            c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
-        ):
-            my, mx = (with_error(1e3 * m, 1e3 * e) for m, e in zip(torques, errors, strict=True))
+        torques = np.stack([c.torque_y, c.torque_x], axis=1)
+        for load, values, errors in zip(c.loads, 1e3 * torques, 1e3 * c.torque_errors, strict=True):
+            my, mx = map(with_error, values, errors)
             yield f"torques, {load.name}", f"{my}, {mx}", "M_y, M_x [mN m] about x = y = 0"
     if fitted := [sensor for sensor in c.sensors if sensor.state == "fitted"]:
         gains = float(np.std([sensor.gain for sensor in fitted]))
         off = float(np.sqrt(np.mean([[s.x**2, s.y**2] for s in fitted])))
-        value = f"gains scatter by {percent(gains)}"
         note = f"{1e3 * off:.2g} mm off their magnets, rms along each axis; each in table SENSORS"
-        yield "sensors", value, note
+        yield "sensors", f"gains scatter by {percent(gains)}", note
     elif c.verdict.notes:
         note = "gains and positions are estimated by reciprocity only, which was not used"
         yield "sensors", "not estimated", note
     if np.isfinite(c.noise):
         source = c.goodness.against if c.goodness is not None else NoiseSource.REPEATS
         yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", NOISE_FROM[source]
-    if c.goodness is not None:
-        note = f"DOF {c.goodness.degrees_of_freedom}, noise from {c.goodness.against}"
-        if np.isfinite(c.goodness.probability):
-            note += f", probability {c.goodness.probability:.2g}"
-        judged = np.isfinite(c.goodness.reduced)
-        value = f"chi2/DOF = {c.goodness.reduced:.3g}" if judged else "cannot be judged"
-        yield "fit", value, note
-    if c.diagnosis is not None and c.diagnosis.weakest:
+    if fit := c.goodness:
+        note = f"DOF {fit.degrees_of_freedom}, noise from {fit.against}"
+        if np.isfinite(fit.probability):
+            note += f", probability {fit.probability:.2g}"
+        judged = np.isfinite(fit.reduced)
+        yield "fit", f"chi2/DOF = {fit.reduced:.3g}" if judged else "cannot be judged", note
+    if c.diagnosis.weakest:
         note = f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2"
         yield "least known", c.diagnosis.weakest, note
-    if c.diagnosis is not None and c.diagnosis.eigenvalues:
+    if c.diagnosis.eigenvalues:
         note = "imbalance of the second-best solution relative to the best; 1: not unique"
         yield "uniqueness", f"{c.diagnosis.separation:.3g}", note
-    note = f"of E, the equations of balance, in units of their RMS; rank {c.rank}"
     if np.isfinite(c.condition):
+        note = f"of E, the equations of balance, in units of their RMS; rank {c.rank}"
         yield "condition", f"{c.condition:.3g}", note
     if np.isfinite(c.solved_condition):
         yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"
 
 
+def _range_of_alpha(c: Calibration) -> tuple[str, NDArray[np.int64]]:
+    """Return the smallest and the largest alpha with their digits, and (2,) their IDs."""
+    ends = [int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))]
+    return " .. ".join(map(to_digits, c.alpha[ends], c.error[ends])), c.layout.id[ends]
+
+
 def _rows_of_parts(c: Parts[Calibration]) -> Iterator[tuple[str, str, str]]:
-    """Yield name, range of alpha and what is known of each segment."""
+    """Yield the range of alpha, level, error and B of each segment."""
     for number in c.numbers:
         if number in c.failed:
             yield f"segment {number}", str(Level.NONE), c.failed[number][0].fault
             continue
         one = c.found[number]
-        low, high = int(np.nanargmin(one.alpha)), int(np.nanargmax(one.alpha))
-        ends = " .. ".join(to_digits(float(one.alpha[k]), float(one.error[k])) for k in (low, high))
-        error = percent(typical(one.error, one.alpha))
-        bias = ""
+        note = f"{one.verdict.level}; error {percent(typical(one.error, one.alpha))}"
         if one.loads:
-            bias = f", B = {with_error(one.bias_force, one.bias_force_error)} N"
-        yield f"segment {number}", f"alpha {ends}", f"{one.verdict.level}; error {error}{bias}"
+            note += f", B = {with_error(one.bias_force, one.bias_force_error)} N"
+        yield f"segment {number}", f"alpha {_range_of_alpha(one)[0]}", note
 
 
 def _symmetry(c: Calibration) -> Iterator[tuple[str, str, str]]:
@@ -295,39 +268,28 @@ def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
     if budget := scale_budget(c.scale_errors):
         parts = (f"{what} {percent(part)}" for what, part in budget.items())
         yield "    budget", ", ".join(parts), ""
-    if c.unseen:
-        for k, error in enumerate(c.unseen):
-            name = "" if k else "    undetectable here"
-            yield name, "" if k else "not in E_ALPHA", f"{percent(error.relative)} if {error.name}"
+    for k, error in enumerate(c.unseen):
+        name = "" if k else "    undetectable here"
+        yield name, "" if k else "not in E_ALPHA", f"{percent(error.relative)} if {error.name}"
     biased = ", scatter only: svd is biased besides" if c.method == "svd" else ""
     yield "  reading noise", readings, f"E_STAT{biased}"
     if np.isfinite(c.cycle_error).any():
-        low, high = np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)
-        yield (
-            "  scatter of cycles",
-            f"{significant(low)} .. {significant(high)}",
-            "E_CYCLE, 3 sigma, as in Ricci 2008; for comparison",
-        )
+        ends = map(significant, (np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)))
+        note = "E_CYCLE, 3 sigma, as in Ricci 2008; for comparison"
+        yield "  scatter of cycles", " .. ".join(ends), note
 
 
-def rejected_values(
-    campaign: Campaign, rejected: Sequence[RejectedRow]
-) -> list[dict[str, int | float | str]]:
-    """Return the rows left out, farthest first, for a script."""
+def rejected_values(campaign: Campaign, rejected: Sequence[RejectedRow]) -> list[dict[str, Any]]:
+    """Return the rows left out, the farthest first, for JSON."""
     return [
-        {
-            "file": campaign.cycles[row.cycle].name,
-            "row": row.row + 1,
-            "actuator": row.actuator,
-            "sigmas": row.sigmas,
-            "against": row.against,
-        }
+        {"file": campaign.cycles[row.cycle].name, "row": row.row + 1}
+        | attributes(row, "actuator", "sigmas", "against")
         for row in sorted(rejected, key=lambda row: -row.sigmas)
     ]
 
 
 def error_budget(c: Calibration) -> dict[str, float]:
-    """Return relative standard uncertainties of alpha by name; none where the scale is free."""
+    """Return relative standard uncertainties of alpha by name; none if the scale is free."""
     if c.scale == Scale.MEAN_ONE:
         return {}
     parts = {

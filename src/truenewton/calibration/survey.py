@@ -1,4 +1,4 @@
-"""What data hold, and whether alpha can be had from them, before anything is calibrated."""
+"""The contents of data, and whether alpha can be determined from them (`truenewton info`)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from truenewton.errors import (
     TooManyOutliers,
 )
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.findings.estimate import Diagnosis
+from truenewton.estimation.findings.estimate import Diagnosis, RejectedRow
 from truenewton.estimation.findings.finding import Verdict, judged, no_alpha
 from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.matrix.screen import screen_matrix
@@ -59,30 +59,23 @@ def survey(
     population: bool = False,
     motion: Seen | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return what data hold, for scripts and for people.
+    """Return the contents of data, or of a calibration, as values for JSON and as lines of text.
 
-    Parameters
-    ----------
-    data
-        A campaign or a stiffness matrix, of one body or of several segments; or a calibration.
-    method, population, motion
-        As in `calibrate`; (6, n, n). Unless one of them is given, a matrix is described and
-        screened, but no alpha is fitted, which takes long.
+    ``method``, ``population`` and ``motion``, (6, n, n), are those of `calibrate`. Unless one of
+    them is given, a matrix is described and screened, but no alpha is fitted, which takes long.
     """
-    if isinstance(data, Calibration):
-        what = f"a calibration, method {data.method}, scale {data.scale}"
-        return {"holds": "calibration", **summary_values(data)}, [what, *summary_lines(data)]
-    if isinstance(data, Parts):
-        what = "a calibration of several segments"
-        values = {"holds": "segmented calibration", **summary_values(data)}
-        return values, [what, *summary_lines(data)]
+    if isinstance(data, Calibration | Parts):
+        holds, what = "segmented calibration", "a calibration of several segments"
+        if isinstance(data, Calibration):
+            holds, what = "calibration", f"a calibration, method {data.method}, scale {data.scale}"
+        return {"holds": holds, **summary_values(data)}, [what, *summary_lines(data)]
     if isinstance(data, SegmentedData):
         return _survey_segments(data, method, population, motion)
     screened_only = isinstance(data, StiffnessMatrix) and not (method or population)
     screened_only = screened_only and motion is None
     method, options = resolve_method(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
-        holds, what = "campaign", "campaign"
+        holds = what = "campaign"
         facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data, method, options)
     else:
         holds, what = "stiffness", "stiffness matrix"
@@ -121,9 +114,9 @@ def survey(
 def _survey_segments(
     data: SegmentedData, method: str | None, population: bool, motion: Seen | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return what data of several segments hold, each by itself."""
+    """Return the contents of data of several segments, each by itself."""
     parts, lines = [], [f"data of {data.instrument}: {counted(data.numbers, 'segment')}"]
-    levels = []
+    good = 0
     for number in with_progress(data.numbers, len(data.numbers), "segments"):
         of_it = seen_of(motion, data.layout, number)
         try:
@@ -133,10 +126,9 @@ def _survey_segments(
             verdict = no_alpha([Fault(error.fault, error.remedy)])
             values = {"verdict": verdict}
             told = [f"segment {number}", f"  not enough for alpha: {error.fault}; {error.remedy}"]
-        levels.append(values["verdict"].level if values["verdict"] else Level.SOUND)
+        good += not values["verdict"] or values["verdict"].level >= Level.DOUBTFUL
         parts.append({"segment": number, **values})
         lines += told
-    good = sum(level >= Level.DOUBTFUL for level in levels)
     lines[0] += f" of {counted(data.layout.n, 'actuator')}, {good} with enough for alpha"
     return {
         "holds": "segments",
@@ -149,23 +141,24 @@ def _survey_segments(
 def _survey_campaign(
     campaign: Campaign, method: str, options: Options
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
-    """Return facts and lines of a campaign alone, the first the end of the headline."""
-    screened, refusal = None, Verdict(Level.NONE)
+    """Return facts, lines (the first is the end of the headline), diagnosis and verdict."""
+    screened, noise, diagnosis = None, np.nan, Diagnosis()
+    rejected: tuple[RejectedRow, ...] = ()
     try:
         screened = screen_campaign(campaign)
-    except TooManyOutliers as error:  # what the files hold is told all the same
-        refusal = no_alpha(refusals(error, None))
+        noise, rejected = screened.moments.noise, screened.rejected
+        diagnosis = diagnose(screened.sound, screened.moments)
+        estimate = estimate_alpha(screened, method, options)
+        verdict = calibration_of(campaign, estimate).verdict
+    except (RankDeficient, TooManyOutliers, NotConverged) as error:
+        verdict = no_alpha(refusals(error, screened))
     shapes = len(np.unique(np.concatenate([c.shape[c.valid] for c in campaign.cycles])))
-    noise, rejected = (screened.moments.noise, screened.rejected) if screened else (np.nan, ())
     loads = []
     for load, weight in zip(campaign.loads, campaign.effective_weights.tolist(), strict=True):
         cycles = [c for c in campaign.cycles if c.load.key == load.key]
         loads.append(
             {
-                "load": load.name,
-                "added": load.added,
-                "e_added": load.added_error,
-                "tilt": load.tilt,
+                **attributes(load, load="name", added="added", e_added="added_error", tilt="tilt"),
                 "effective_weight": weight,
                 "cycles": len(cycles),
                 "rows": sum(len(c.time) for c in cycles),
@@ -196,32 +189,24 @@ def _survey_campaign(
     if np.isfinite(noise):
         lines.append(row("noise of one reading", f"{1e3 * noise:.3g} mN, from repeated shapes"))
     lines += rejected_lines(campaign, rejected)
-    if screened is None:
-        return values, lines, Diagnosis(), refusal
-    diagnosis = diagnose(screened.sound, screened.moments)
-    try:
-        estimate = estimate_alpha(screened, method, options)
-        verdict = calibration_of(campaign, estimate).verdict
-    except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        verdict = no_alpha(refusals(error, screened))
     return values, lines, diagnosis, verdict
 
 
 def _survey_stiffness(
     matrix: StiffnessMatrix, solve: Callable[[], Calibration] | None
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
-    """Return facts and lines of a matrix, the first the end of the headline, and its verdict.
+    """Return facts, lines (the first is the end of the headline), diagnosis and verdict.
 
     The verdict is that of a calibration, or on what screening finds if there is nothing to solve.
     """
     facts = MatrixFacts.of(matrix)
-    modes = facts.singular_values
+    modes, used = facts.singular_values, len(facts.elastic_modes.values)
     softest, median, stiffest = float(modes[-1]), float(np.median(modes)), float(modes[0])
     values = {
         "softest": softest,
         "median": median,
         "stiffest": stiffest,
-        "used_modes": len(facts.elastic_modes.values),
+        "used_modes": used,
         "asymmetry": facts.asymmetry,
         "rigid_cost": facts.rigid_cost,
         "imbalance": facts.imbalance,
@@ -229,10 +214,7 @@ def _survey_stiffness(
     lines = [
         "",
         row("singular values", f"{softest:.3g} .. {stiffest:.3g} N/m, median {median:.3g}"),
-        row(
-            "elastic modes",
-            f"{values['used_modes']} stiffer than {MIN_SINGULAR_VALUE:g} of the stiffest",
-        ),
+        row("elastic modes", f"{used} stiffer than {MIN_SINGULAR_VALUE:g} of the stiffest"),
         row("asymmetry", f"{facts.asymmetry:.2g}, |K - K'| / |K + K'|"),
         row(
             "orientation",
@@ -246,6 +228,6 @@ def _survey_stiffness(
             screened = screen_matrix(matrix)
             return values, lines, Diagnosis(), judged((*screened.effects, *screened.warnings))
         made = solve()
+        return values, lines, made.diagnosis, made.verdict
     except (RankDeficient, NotConverged) as error:
         return values, lines, Diagnosis(), no_alpha(refusals(error, None))
-    return values, lines, made.diagnosis or Diagnosis(), made.verdict

@@ -1,8 +1,8 @@
-"""The verdict on a calibration: do its stated errors hold? The same wherever it is asked.
+"""The verdict on a calibration: whether its stated errors are valid.
 
-It rests on what a calibration file holds and on nothing else, so that a file read back is judged as
-the calibration was that wrote it. Its findings are those of the data and of the fit, which the file
-has, and those that follow from the numbers of the result, here. Its level is that of the worst.
+It depends only on what a calibration file contains, so that the verdict on a file is that on the
+calibration that was written. The findings are those of the data and of the fit, and those that
+follow here from the numbers of the result. The level is that of the worst finding.
 """
 
 from __future__ import annotations
@@ -10,14 +10,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Hashable, Iterable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.errors import Fault, NotToBeUsed, TrueNewtonWarning
+from truenewton.estimation.checks import MAX_ALPHA_SIGMAS
 from truenewton.estimation.findings.code import LIMITS, Code, Concern, Level
 from truenewton.estimation.findings.estimate import (
     FROM_READINGS,
@@ -39,7 +38,6 @@ from truenewton.records.result import verdict_of
 from truenewton.rounding import percent, significant, with_error
 from truenewton.statics.arms import effective_weight
 
-ZERO_SIGMAS = 3.0  # within which alpha is 0
 REGARDLESS = "to use it regardless, for a diagnosis only: --anyway (in Python: force=True)"
 
 
@@ -52,10 +50,7 @@ def verdict_on(calibration: AnyCalibration) -> Verdict:
 
 
 def _on_parts(c: Parts[Calibration]) -> Verdict:
-    """Judge a mirror in several segments: each finding names its segments.
-
-    It can be used as far as a segment can.
-    """
+    """Judge a segmented mirror by its best segment; each finding names its segments."""
     of_each = {number: one.verdict for number, one in c.found.items()}
     of_each |= {number: no_alpha(faults) for number, faults in c.failed.items()}
     every = [(n, each) for n, one in sorted(of_each.items()) for each in one.faults]
@@ -95,12 +90,7 @@ def refusal_of(level: Level, fault: str, remedy: str, path: object = None) -> No
 
 
 def refuse_unusable(calibration: AnyCalibration, *, force: bool, path: object = None) -> None:
-    """Raise `NotToBeUsed` where a calibration is rejected, unless forced.
-
-    Raises
-    ------
-    NotToBeUsed
-    """
+    """Raise `NotToBeUsed` if a calibration is rejected, unless forced."""
     verdict = calibration.verdict
     if verdict.level <= Level.REJECTED and not force:
         first = verdict.faults[0]
@@ -109,37 +99,21 @@ def refuse_unusable(calibration: AnyCalibration, *, force: bool, path: object = 
 
 def without_unusable(c: Parts[Calibration]) -> Parts[Calibration]:
     """Return it without the segments whose verdict is 'rejected'; itself if they all are."""
-    judged = {number: one.verdict for number, one in c.found.items()}
-    out = {n: v.faults for n, v in judged.items() if v.level <= Level.REJECTED}
-    if not out or len(out) == len(judged):
-        return c
-    named = {
-        n: (
-            Fault(f"{Level.REJECTED}: {first.fault}", first.remedy),
-            *(Fault(each.fault, each.remedy) for each in others),
-        )
-        for n, (first, *others) in out.items()
-    }
-    kept = {number: one for number, one in c.found.items() if number not in out}
-    return replace(c, found=kept, failed={**c.failed, **named})
+    kept, failed = {}, dict(c.failed)
+    for number, one in c.found.items():
+        if one.verdict.level > Level.REJECTED:
+            kept[number] = one
+        else:
+            first, *others = [Fault(each.fault, each.remedy) for each in one.verdict.faults]
+            failed[number] = (Fault(f"{Level.REJECTED}: {first.fault}", first.remedy), *others)
+    return replace(c, found=kept, failed=failed) if kept else c
 
 
 def usable(calibration: AnyCalibration, *, force: bool, path: object = None) -> AnyCalibration:
     """Return a calibration; of several segments those whose verdict is not 'rejected'.
 
-    Parameters
-    ----------
-    calibration
-        Of one body or of several segments.
-    force
-        Take what is rejected, too.
-    path
-        Its file, which is then named as the reason why a segment has no alpha.
-
-    Raises
-    ------
-    NotToBeUsed
-        All of it is rejected.
+    Raises NotToBeUsed if all of it is rejected, unless forced. The ``path`` of its file is named as
+    the reason why a segment has no alpha.
     """
     refuse_unusable(calibration, force=force, path=path)
     if not isinstance(calibration, Parts):
@@ -155,12 +129,7 @@ def usable(calibration: AnyCalibration, *, force: bool, path: object = None) -> 
 
 
 def warn_of(calibration: AnyCalibration, stacklevel: int = 3) -> None:
-    """Warn in Python of a calibration that is doubtful or rejected.
-
-    Warns
-    -----
-    TrueNewtonWarning
-    """
+    """Issue a TrueNewtonWarning if a calibration is doubtful or rejected."""
     verdict = calibration.verdict
     if any(each.level <= Level.DOUBTFUL for each in verdict.findings):
         warnings.warn(f"{calibration.instrument}: {verdict}", TrueNewtonWarning, stacklevel)
@@ -168,10 +137,9 @@ def warn_of(calibration: AnyCalibration, stacklevel: int = 3) -> None:
 
 def _rejecting(c: Calibration) -> Iterator[Finding]:
     """Yield why a calibration is rejected, causes before what they do."""
-    fits = c.goodness is None or not c.goodness.probability < LIMITS.fit_probability
     unit = unit_fault(c)
     grave = {Concern.FILES}
-    if not fits:  # else the rows that disagreed were left out
+    if _misfits(c):  # otherwise the rows that disagreed were left out
         grave.add(Concern.ROWS)
     if unit is not None:
         grave.add(Concern.SILENT)
@@ -192,6 +160,11 @@ def _rejecting(c: Calibration) -> Iterator[Finding]:
         code = Code.ALL_NEGATIVE if negative == alpha.size else Code.MANY_NEGATIVE
         yield Finding.of(code, count=negative, n=alpha.size)
     yield from senseless
+
+
+def _misfits(c: Calibration) -> bool:
+    """Return whether the misfit is larger than by chance; it may not have been judged."""
+    return c.goodness is not None and c.goodness.probability < LIMITS.fit_probability
 
 
 def _senseless(c: Calibration) -> Iterator[Finding]:
@@ -224,20 +197,15 @@ def _harm(c: Calibration) -> Iterator[Finding]:
 
 
 def _of_data(c: Calibration) -> Iterator[Finding]:
-    """Yield what the file has: effects that were not corrected first, as causes."""
+    """Yield the findings of the file: first the effects that were not corrected, as causes."""
     yield from _uncorrected(c)
+    largest = 2.0 * LIMITS.load_gain * typical(c.error, c.alpha)
     for effect in c.effects:
-        if effect.corrected:
-            yield replace(effect, graded=Level.DOUBTFUL) if _moves_scale(c, effect) else effect
-    if c.diagnosis is not None:
-        yield from c.diagnosis.warnings
-
-
-def _moves_scale(c: Calibration, effect: Finding) -> bool:
-    """Tell whether the scale depends on which load's gain is right, by more than its error."""
-    if effect.code is not Code.GAIN_BY_LOAD or c.scale != Scale.WEIGHTS:
-        return False
-    return abs(effect.size) / 2.0 > LIMITS.load_gain * typical(c.error, c.alpha)
+        if effect.corrected:  # a gain that differs between loads may change the scale
+            by_load = effect.code is Code.GAIN_BY_LOAD and c.scale == Scale.WEIGHTS
+            doubtful = by_load and abs(effect.size) > largest
+            yield replace(effect, graded=Level.DOUBTFUL) if doubtful else effect
+    yield from c.diagnosis.warnings
 
 
 def _of_result(c: Calibration) -> Iterator[Finding]:
@@ -246,14 +214,10 @@ def _of_result(c: Calibration) -> Iterator[Finding]:
         fitted, *held_out = (line.after for line in c.imbalances)
         if max(held_out) > LIMITS.held_out_ratio * fitted:
             yield Finding.of(Code.HELD_OUT_IMBALANCE, held_out=max(held_out), fitted=fitted)
-    fit, known = c.goodness, {each.code for each in (c.diagnosis.warnings if c.diagnosis else ())}
-    if (
-        fit is not None
-        and fit.probability < LIMITS.fit_probability
-        and not known & {Code.MISFIT, Code.MISFIT_EXPLAINED}
-    ):
+    known = {each.code for each in c.diagnosis.warnings}
+    if _misfits(c) and not known & {Code.MISFIT, Code.MISFIT_EXPLAINED}:
         code = Code.MISFIT_OF_SVD if c.method == "svd" else Code.MISFIT
-        yield Finding.of(code, factor=np.sqrt(fit.reduced))
+        yield Finding.of(code, factor=np.sqrt(c.goodness.reduced) if c.goodness else np.nan)
     rows = c.rejected + c.shapes_used
     if c.rejected > LIMITS.rejected_fraction * rows:
         yield Finding.of(Code.MANY_ROWS_REJECTED, share=c.rejected / rows)
@@ -261,9 +225,12 @@ def _of_result(c: Calibration) -> Iterator[Finding]:
     if c.rejected:
         yield _rejected(c)
     named = {actuator for effect in c.effects for actuator in effect.actuators}
-    for k in _outliers(c):
+    middle = np.nanmedian(c.alpha)
+    spread = 1.4826 * np.nanmedian(np.abs(c.alpha - middle))
+    far = np.abs(c.alpha - middle) > LIMITS.outlier_spreads * np.hypot(spread, c.reading_error)
+    for k in np.flatnonzero(far):
         if c.layout.id[k] not in named:
-            dead = abs(c.alpha[k]) < ZERO_SIGMAS * c.reading_error[k]
+            dead = abs(c.alpha[k]) < MAX_ALPHA_SIGMAS * c.reading_error[k]
             yield Finding.of(
                 Code.ALPHA_ZERO if dead else Code.ALPHA_OUTLIER,
                 actuators=[c.layout.id[k]],
@@ -291,14 +258,6 @@ def rejected_sentence(row: RejectedRow, file: str) -> str:
     )
 
 
-def _outliers(c: Calibration) -> NDArray[np.int64]:
-    """Return the indices of actuators far from the others, in terms of their spread and error."""
-    middle = np.nanmedian(c.alpha)
-    spread = 1.4826 * np.nanmedian(np.abs(c.alpha - middle))
-    far = np.abs(c.alpha - middle) > LIMITS.outlier_spreads * np.hypot(spread, c.reading_error)
-    return np.flatnonzero(far)
-
-
 def _uncorrected(c: Calibration, about: Collection[Concern] = tuple(Concern)) -> list[Finding]:
     """Return the effects that were not corrected, those about something."""
     return [e for e in c.effects if not e.corrected and e.concern in about]
@@ -312,52 +271,29 @@ def _graver(c: Calibration, about: Collection[Concern]) -> Iterator[Finding]:
 
 # -- the common scale: its unit, the weights, and their errors ------------------------------------
 
-NO_ERROR = 1e-6  # of the common scale: below, nobody knows a weight so well
+NO_ERROR = 1e-6  # of the common scale; no weight is known better
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 GRAVITY = 9.81  # [m/s^2]
 FORCE_IN = "correct the unit that the column FORCE declares, or convert its values to N"
 WEIGHTS_IN = f"store WEIGHT and ADDED in N: {-GRAVITY} for a kilogram"
 
 
-class Mistake(NamedTuple):
-    """A keyword or unit that is not what the file contract says.
-
-    Attributes
-    ----------
-    factor
-        What it makes of an alpha of 1.
-    said, remedy
-        How it looks; what to do.
-    """
-
-    factor: float
-    said: str
-    remedy: str
-
-
 POUND = 4.4482216  # [N], of force
-MISTAKES = (
-    Mistake(1e-6, "FORCE looks as if in uN", FORCE_IN),
-    Mistake(1e-3, "FORCE looks as if in mN", FORCE_IN),
-    Mistake(1e-3 * GRAVITY, "FORCE looks as if in gf (grams)", FORCE_IN),
-    Mistake(POUND, "FORCE looks as if in lbf (pounds)", FORCE_IN),
-    Mistake(GRAVITY, "FORCE looks as if in kgf (kilograms)", FORCE_IN),
-    Mistake(1e3, "FORCE looks as if in kN", FORCE_IN),
-    Mistake(1 / GRAVITY, "WEIGHT and ADDED look as if in kg", WEIGHTS_IN),
-    Mistake(1 / POUND, "WEIGHT and ADDED look as if in lbf", WEIGHTS_IN),
-    Mistake(1e3 / GRAVITY, "WEIGHT and ADDED look as if in g", WEIGHTS_IN),
-    Mistake(1e3, "WEIGHT and ADDED look as if in mN", WEIGHTS_IN),
-)
+FORCE_UNITS = {  # alpha that each unit of FORCE makes of 1
+    "uN": 1e-6, "mN": 1e-3, "gf (grams)": 1e-3 * GRAVITY, "lbf (pounds)": POUND,
+    "kgf (kilograms)": GRAVITY, "kN": 1e3,
+}  # fmt: skip
+WEIGHT_UNITS = {"kg": 1 / GRAVITY, "lbf": 1 / POUND, "g": 1e3 / GRAVITY, "mN": 1e3}
 OTHER_UNIT = "FORCE looks as if in counts or volts of the electronics, or in another unit than N"
 ONE_LOAD_FROM_REST = "FORCE of one load counts from rest or belongs to another load"
 NEAR_ONE = (0.6, 1.6)  # the typical alpha of mirrors, which a single mistake is to bring back
-MAX_DEVIATION, MIN_LIKE_OTHERS = 0.5, 0.9  # from the median, of how many: else it is no unit alone
+MAX_DEVIATION, MIN_LIKE_OTHERS = 0.5, 0.9  # from the median, of how many; otherwise no unit
 
 
 def unit_fault(c: Calibration) -> Finding | None:
     """Return that alpha is so far from 1 that a unit must be wrong, and which one it may be.
 
-    Or that no load is seen: then alpha is large, but no more than noise.
+    Or that no load is seen in the forces: then alpha is large, but no more than noise.
     """
     median = float(np.nanmedian(c.alpha))
     if c.scale == Scale.WEIGHTS and typical(c.reading_error, c.alpha) > LIMITS.relative_error:
@@ -365,13 +301,13 @@ def unit_fault(c: Calibration) -> Finding | None:
     alike = np.abs(c.alpha[c.layout.enabled] / median - 1.0) < MAX_DEVIATION
     if LIMITS.lowest_alpha < abs(median) < LIMITS.highest_alpha or np.mean(alike) < MIN_LIKE_OTHERS:
         return None
-    fitting = [
-        each
-        for each in (*_added_with_weight(c), *MISTAKES)
-        if NEAR_ONE[0] < abs(median) / each.factor < NEAR_ONE[1]
-    ]
-    looks = ", or ".join(each.said for each in fitting) or OTHER_UNIT
-    remedy = "; or ".join(dict.fromkeys(each.remedy for each in fitting)) or FORCE_IN
+    fitting = {
+        fault: remedy
+        for factor, fault, remedy in _mistakes(c)
+        if NEAR_ONE[0] < abs(median) / factor < NEAR_ONE[1]
+    }
+    looks = ", or ".join(fitting) or OTHER_UNIT
+    remedy = "; or ".join(dict.fromkeys(fitting.values())) or FORCE_IN
     looks += ", and FORCE of the other sign" if median < 0.0 else ""
     if c.scale == Scale.WEIGHTS:
         looks += f", or {ONE_LOAD_FROM_REST}"
@@ -380,16 +316,17 @@ def unit_fault(c: Calibration) -> Finding | None:
     )
 
 
-def _added_with_weight(c: Calibration) -> Iterator[Mistake]:
-    """Yield that ADDED includes the weight of the mirror: the load seems heavier by it."""
+def _mistakes(c: Calibration) -> Iterator[tuple[float, str, str]]:
+    """Yield single mistakes: the alpha that each makes of 1, its description and its remedy."""
     added = min((load.added for load in c.loads), default=0.0)
     alone = added - c.weight
     if alone < 0.0:
-        yield Mistake(
-            added / alone,
-            "ADDED looks as if the weight of the mirror were in it",
-            f"store what was added alone, {significant(alone, 3)} N",
-        )
+        fault = "ADDED looks as if the weight of the mirror were in it"
+        yield added / alone, fault, f"store what was added alone, {significant(alone, 3)} N"
+    for unit, factor in FORCE_UNITS.items():
+        yield factor, f"FORCE looks as if in {unit}", FORCE_IN
+    for unit, factor in WEIGHT_UNITS.items():
+        yield factor, f"WEIGHT and ADDED look as if in {unit}", WEIGHTS_IN
 
 
 def scale_faults(c: Calibration) -> Iterator[Finding]:

@@ -1,8 +1,8 @@
 """Maximum likelihood on a campaign, and the patterns of alpha that noise decides.
 
-Where noise alone makes as much imbalance as a pattern of alpha would, the data say nothing of that
-pattern (docs/likelihood.md). It is held at zero, so that alpha stays even over the mirror, and its
-error is taken to be, root mean square over the actuators, all that alpha is seen to vary by.
+If noise alone makes as much imbalance as a pattern of alpha would, the data do not determine that
+pattern (docs/likelihood.md). It is held at zero, so that alpha is uniform along it, with the rms
+variation of alpha over the mirror as its rms error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.checks import (
     campaign_warnings,
     check_inputs,
-    noise_warnings,
     refusal_naming,
     strange_alphas,
 )
@@ -35,6 +34,7 @@ from truenewton.estimation.effects.undetectable import (
     with_magnets_unsure,
     with_positions_unsure,
 )
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import (
     Diagnosis,
     Estimate,
@@ -47,6 +47,7 @@ from truenewton.estimation.findings.estimate import (
     temperature_errors,
     weight_errors,
 )
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import (
     Minimum,
     Prior,
@@ -85,15 +86,14 @@ from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
-# Information on a pattern held at zero: it is known to 1e-5, for the time being.
-HELD_INFORMATION = 1e10
+HELD_INFORMATION = 1e10  # on a pattern held at zero: 1e-5 until its error is added
 
 
 def undetermined_patterns(problem: Problem, moments: Moments, count: int) -> Array:
-    """Return (n, count) patterns of alpha, orthonormal and of mean 0, that the data hold least.
+    """Return (n, count) orthonormal patterns of alpha of mean 0 that the data determine least.
 
-    One pattern more than ``count`` cannot be told from alpha; of all that these make up together,
-    those without a mean leave alpha as even as can be.
+    One pattern more than ``count`` cannot be distinguished from alpha; those of their span without
+    a mean leave alpha most uniform.
     """
     centred = centred_means(moments)
     _, patterns = balance_patterns(centred, problem.a, problem.noise.variance, count + 1)
@@ -118,31 +118,27 @@ def with_undetermined_patterns(minimum: Minimum, patterns: Array) -> Minimum:
 
 
 def tolerable(judged: Diagnosis, n: int) -> bool:
-    """Tell whether an answer is worth having though some patterns are undetermined.
+    """Return whether alpha is useful though some patterns are undetermined.
 
-    Not where the shapes would be too few even without noise, nor where a tenth of the patterns go.
+    Not if the shapes would be too few without noise, nor if it is a tenth of the patterns.
     """
     return 3 * judged.span >= n - 1 and 10 * judged.undetermined <= n
 
 
 def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estimate:
-    """Find the likeliest alpha of a campaign, outliers left out; no row is read.
+    """Return the likeliest alpha of a screened campaign, without outliers; no row is read.
 
-    Parameters
-    ----------
-    screened
-        Cycles under two loads at least, and a stiffness matrix if there is one.
-    population
-        Whether alpha is taken for a sample of one normal population, whose spread the data give.
-
-    Raises
-    ------
-    RankDeficient, TooManyOutliers, NotConverged
+    With ``population`` alpha is a sample of one normal population, whose spread is estimated.
+    Raises RankDeficient, TooManyOutliers or NotConverged.
     """
     sound, moments = screened.sound, screened.moments
     refuse(structural_faults(sound, moments))
     with refusal_naming(lambda: (*screened.suspects, *screened.clipped)):
-        free = _posed(screened)
+        rows = len(screened.rejected) + int(moments.rows.sum())
+        refuse_too_many(len(screened.rejected), rows)
+        force = moments.sums.force.sum(axis=1) / moments.sums.weight
+        errors = {**weight_errors(sound), **temperature_errors(sound, force)}
+        free = problem_of(screened.campaign, reading_noise(sound, moments), errors)
         suspects = check_inputs(screened, free)
     with refusal_naming(
         lambda: (*suspects.where_nothing_balances(free, moments).named, *screened.clipped)
@@ -179,45 +175,29 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
     clipped = () if belongs.all() and left.fits else screened.clipped
     effects = (*suspects.named, *strange, *clipped, *screened.frozen, *left.effects)
     effects += tuple(warmer_loads(sound, estimate.scale_errors))
-    warnings = (*estimate.diagnosis.warnings, *misfit_findings(left))
-    return replace(
-        estimate,
-        effects=effects,
-        unseen=unseen,
-        diagnosis=replace(estimate.diagnosis, warnings=warnings),
-    )
-
-
-def _posed(screened: ScreenedCampaign) -> Problem:
-    """Pose the problem of a campaign, of which readings are independent as far as is known."""
-    sound, moments = screened.sound, screened.moments
-    rows = len(screened.rejected) + int(moments.rows.sum())
-    refuse_too_many(len(screened.rejected), rows)
-    force = moments.sums.force.sum(axis=1) / moments.sums.weight
-    errors = {**weight_errors(sound), **temperature_errors(sound, force)}
-    return problem_of(screened.campaign, reading_noise(sound, moments), errors)
+    return replace(estimate.with_warnings(misfit_findings(left)), effects=effects, unseen=unseen)
 
 
 def _examined(
     plain: ExaminedFit, screened: ScreenedCampaign, patterns: Array, *, columns_are_wrong: bool
 ) -> tuple[ExaminedFit, tuple[UnseenError, ...]]:
-    """Return a fit after effects were looked for, as sure as it is, and what no data can show."""
+    """Return the fit after the search for effects, and the undetectable errors."""
     if patterns.size:
         return replace(plain, minimum=with_undetermined_patterns(plain.minimum, patterns)), ()
     if columns_are_wrong:
-        return _less_sure(plain), ()
+        return _inflated(plain, plain.excess), ()
     left = examined(
         plain.problem, plain.moments, plain.minimum, screened.structure, screened.samples
     )
     unseen = unseen_errors(left)
     left = replace(left, minimum=with_magnets_unsure(left))
     left = replace(left, minimum=with_positions_unsure(left))
-    return left if left.fits or left.explained else _less_sure(left), unseen
+    return left if left.fits or left.explained else _inflated(left, left.excess), unseen
 
 
-def _less_sure(left: ExaminedFit) -> ExaminedFit:
-    """Return a fit less sure by what the data are more out of balance than their noise says."""
-    covariance = left.excess * left.minimum.reading_covariance
+def _inflated(left: ExaminedFit, excess: float) -> ExaminedFit:
+    """Return a fit with errors inflated by the excess of the imbalance over its noise."""
+    covariance = excess * left.minimum.reading_covariance
     return replace(left, minimum=replace(left.minimum, reading_covariance=covariance))
 
 
@@ -230,24 +210,23 @@ def _of_population(left: ExaminedFit, prior: Prior) -> tuple[ExaminedFit, str]:
         problem = replace(problem, prior=with_population(prior, smooth, alpha, spread))
         minimum = problem.fitted(left.moments, minimum.values)
         alpha = minimum.values[:n]
-    if not (left.fits or left.explained):
-        covariance = left.excess * minimum.reading_covariance
-        minimum = replace(minimum, reading_covariance=covariance)
-    return replace(left, problem=problem, minimum=minimum), f"ml, population {spread:.2g}"
+    fitted = replace(left, problem=problem, minimum=minimum)
+    method = f"ml, population {spread:.2g}"
+    return fitted if left.fits or left.explained else _inflated(fitted, left.excess), method
 
 
 def _fitted(
     problem: Problem, campaign: Campaign, moments: Moments
 ) -> tuple[NDArray[np.bool_], Array, Fitted, Array]:
-    """Fit the groups that belong; return these, distances, the fit, and patterns held even.
+    """Fit the groups that belong; return these, distances, the fit, and the patterns held.
 
-    None is held unless the data hold no more than noise along some.
+    None is held unless the data contain only noise along some.
     """
     nothing = np.empty((problem.n, 0))
     try:
         return *balancing_groups(problem, moments), nothing
     except (RankDeficient, NotConverged, TooManyOutliers):
-        diagnosis = diagnose(campaign, moments)  # which knows better what is missing
+        diagnosis = diagnose(campaign, moments)  # states better what is missing
         if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
             alike = similar_loads(campaign.effective_weights)
             unseen = unseen_load(problem.a[0], campaign.effective_weights, moments)
@@ -272,16 +251,12 @@ def estimate_of(
     held: int,
     freedom: float | None = None,
 ) -> Estimate:
-    """Put the minimum into the form that all methods share.
-
-    Degrees of freedom are those of the problem unless given.
-    """
+    """Return a minimum as an estimate; by default with the degrees of freedom of the problem."""
     campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
-    chi2 = minimum.chi2
     freedom = problem.degrees_of_freedom(moments) if freedom is None else freedom
-    tested = problem.noise.source != NoiseSource.MINIMUM and freedom > 0
-    probability = chi2_probability(chi2, freedom, problem.noise) if tested else float("nan")
-    declared = float("nan")
+    probability = declared = float("nan")
+    if problem.noise.source != NoiseSource.MINIMUM and freedom > 0:
+        probability = chi2_probability(minimum.chi2, freedom, problem.noise)
     if all(c.force_error for c in campaign.cycles):
         same = np.full(n, WEIGHED_NOISE**2)
         at_declared = load_data(campaign, moments, same, problem.errors)
@@ -298,35 +273,35 @@ def estimate_of(
         condition=e_condition,
         rank=unknowns.count - diagnosis.undetermined,
         diagnosis=diagnosis,
-        goodness=Goodness(chi2, round(freedom), problem.noise.source, probability),
-        declared_chi2=declared,
+        goodness=Goodness(minimum.chi2, round(freedom), problem.noise.source, probability),
+        chi2=declared,
         scale_errors=scale_errors(
             minimum.values[:n],
             minimum.reading_covariance[:n, :n],
             minimum.changes[:n].T,
             problem.errors,
         ),
-        rejected=rejected,
+        rejected_rows=rejected,
     )
 
 
 def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) -> Diagnosis:
-    """Judge alpha by what its information stands above what noise feigns, and name what is weak.
-
-    So many patterns as are held even drown for sure.
-    """
+    """Count patterns within the noise, including those ``held``, and name what is weak."""
     n, layout = problem.n, problem.campaign.layout
     covariance = minimum.reading_covariance[:n, :n]
     free = held + patterns_near_noise(minimum, moments.sums.shapes)
     value, vector = largest_eigenvalue(covariance)
     weakest = describe_pattern(vector, layout)
-    warnings = (
-        *noise_warnings(free, weakest, held, float(np.sqrt(value / n))),
-        *campaign_warnings(problem, moments, minimum),
-    )
+    warnings = []
+    if free:
+        warnings.append(Finding.of(Code.WEAK_PATTERNS, count=free, weakest=weakest))
+    if held:
+        error = float(np.sqrt(value / n))
+        warnings.append(Finding.of(Code.CONSTRAINED_PATTERNS, count=held, error=error))
+    warnings += campaign_warnings(problem, moments, minimum)
     return Diagnosis(
         undetermined=free,
-        warnings=warnings,
+        warnings=tuple(warnings),
         weakest=weakest,
         weakest_share=value / float(np.trace(covariance)),
         leverage=tuple(leverage(problem.a * minimum.values[:n], problem.noise.variance).tolist()),
@@ -334,11 +309,11 @@ def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) 
 
 
 def patterns_near_noise(minimum: Minimum, shapes: int) -> int:
-    """Count the patterns of alpha in which M reaches less than what noise alone may.
+    """Count the patterns of alpha in which M is less than noise alone may make it.
 
-    What noise alone feigns, D, spreads by (1 +- root(n / 3 N))^2; so count the negative eigenvalues
-    of M - reach D, B and the torques eliminated. There is none if all of D together is too small,
-    as mostly, or if there is a Cholesky factor.
+    D, the spurious information, scatters by (1 +- root(n / 3 N))^2; so count the negative
+    eigenvalues of M - reach D, B and the torques eliminated. There is none if all of D together is
+    too small, as usual, or if there is a Cholesky factor.
     """
     n = len(minimum.noise_information.diagonal)
     reach = 1.1 * (1 + np.sqrt(n / (3 * shapes))) ** 2
@@ -355,8 +330,8 @@ def patterns_near_noise(minimum: Minimum, shapes: int) -> int:
 def condition(campaign: Campaign, moments: Moments, reading_covariance: Array) -> float:
     """Return the condition of E, each coordinate in units of its RMS, from E' E.
 
-    Its inverse is, but for a factor, nearly the covariance from the readings, torques in the same
-    units.
+    Its inverse is, except for a factor, nearly the covariance from the readings, torques in the
+    same units.
     """
     a = arms_in_units_of_rms(campaign.layout)
     gram = gram_of_e(a, load_data(campaign, moments, np.ones(a.shape[1]), {}))

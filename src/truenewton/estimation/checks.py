@@ -1,6 +1,22 @@
-"""What is suspected of not being what it says: files, columns, actuators.
+"""Whether a campaign is what it claims to be: files, columns, actuators, weights, dates.
 
-Only the user can settle it: suspects are named, in a refusal too, and never corrected.
+Only the user can decide this: suspects are named, also in the error if there is no alpha, and never
+corrected.
+
+Columns that belong to other actuators are found in two ways.
+
+By the stiffness: forces on displacements over the shapes of a campaign give that of the glass, K,
+except for the gain of each row (alpha) and of each column (the sensor). K is symmetric and not
+negative, so K_ij^2 <= K_ii K_jj, and no permutation has a larger product |K_1p(1) ... K_np(n)| than
+the diagonal; gains do not change which one is largest. If another one is, FORCE is in that order.
+
+By the balance: whatever the shapes, A diag(alpha) (c - c_mean) is no more than noise. So the three
+least eigenvectors of the second moment of centred readings, scaled by the noise, are
+T A diag(alpha) with some T (3, 3): homogeneous coordinates of each actuator, in a projection of the
+plane. T follows from the coordinates in the files by least squares without outliers (direct linear
+transformation); its inverse gives the position at which the forces of each actuator act. If two
+actuators act at each other's position, their cables are exchanged. This is reported if the balance
+fits with the columns back in order, and did not before.
 """
 
 from __future__ import annotations
@@ -38,32 +54,39 @@ from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.rounding import named
 from truenewton.statics.arms import arms_in_units_of_rms
 
-MIN_VARIANCE_RATIO = 100.0  # times its noise the variance of a typical reading over shapes is
-MIN_RELATIVE_CHANGE = 0.03  # of a typical change, where nothing tells the noise
+MIN_VARIANCE_RATIO = 100.0  # variance of a typical reading over shapes, in units of its noise
+MIN_RELATIVE_CHANGE = 0.03  # of a typical change, if the noise is unknown
 STUCK_CHANGE = 1e-9  # of a typical reading: it does not change at all
-MAX_ALPHA_SIGMAS = 3.0  # from 0
-MAX_DEAD_FRACTION = 0.03  # of the actuators
-WELL_KNOWN_ERROR = 0.1  # error of an alpha in terms of the typical one
+MAX_ALPHA_SIGMAS = 3.0  # from 0, of an alpha that is 0
+WELL_KNOWN_ERROR = 0.1  # error of an alpha relative to the typical alpha
+
+MIN_SHAPE_ASYMMETRY = 0.2  # asymmetry of the stiffness relative to its size
+MAX_REMAINING_ASYMMETRY = 0.5  # of it, in the better order
+MIN_LOG_GAIN_OF_ORDER = np.log(1.5)  # mean gain of the elements in a better order
+
+MIN_SHAPE_TO_NOISE = 2.0  # weakest elastic shape in units of its noise
+HOME_SPACING_FRACTION = 0.1  # of the spacing of the actuators: nearer, they are at their positions
+MAX_COORDINATE = 10.0  # in units of the rms coordinate; all positions beyond are equally bad
+MIN_DISTANCE_RATIO = 3.0  # distance from its own position relative to the typical residual
+MAX_ALPHA_FACTOR = 10.0  # between the alphas of a valid fit
+MAX_CHI2_RATIO = 0.25  # of chi^2, if the noise is unknown
+
+MIN_SCATTER_RATIO = 1.5  # reported scatter of the repeats, in units of FORCERR
+MAX_DAYS_APART = 30.0  # days without a file, in one campaign
+WARM_TEMPERATURE = 50.0  # [deg C]
+MAX_BIAS_TO_WEIGHT = 3.0  # force of the bias magnets in units of the weight
 
 
 @dataclass(frozen=True)
 class InputChecks:
-    """What is suspected before effects are looked for.
+    """Suspects found before effects are looked for."""
 
-    Attributes
-    ----------
-    files, actuators
-        Files that are not what they say; actuators whose reading does not change.
-    columns
-        Columns that stand for other actuators: by the balance, else by the stiffness of shapes.
-    unlike
-        Files in two lots, each of which repeats.
-    """
-
+    # Files that are not what they claim; actuators whose reading does not change.
     files: tuple[Finding, ...]
     actuators: tuple[Finding, ...]
+    # Columns of other actuators: by the balance, otherwise by the stiffness of the shapes.
     columns: tuple[Finding, ...]
-    unlike: tuple[Finding, ...] = ()
+    unlike: tuple[Finding, ...] = ()  # files in two groups, each of which repeats
 
     @property
     def named(self) -> tuple[Finding, ...]:
@@ -71,9 +94,9 @@ class InputChecks:
         return (*self.files, *self.actuators, *self.columns)
 
     def where_nothing_balances(self, problem: Problem, moments: Moments) -> InputChecks:
-        """Return these, with files in two lots, or columns that would balance exchanged.
+        """Return these, with files in two groups, or columns that balance if exchanged.
 
-        A dead actuator explains all.
+        A dead actuator explains the imbalance alone.
         """
         if self.actuators:
             return self
@@ -83,13 +106,7 @@ class InputChecks:
 
 
 def check_inputs(screened: ScreenedCampaign, problem: Problem) -> InputChecks:
-    """Return what rows alone make suspect.
-
-    Raises
-    ------
-    RankDeficient
-        A reading is stuck.
-    """
+    """Return the suspects by the rows alone; raise RankDeficient if a reading is stuck."""
     campaign, moments = screened.campaign, screened.moments
     actuators = constant_actuators(campaign, moments, problem.noise)
     columns = misordered_columns(campaign, moments)
@@ -98,7 +115,7 @@ def check_inputs(screened: ScreenedCampaign, problem: Problem) -> InputChecks:
 
 @contextmanager
 def refusal_naming(suspects: Callable[[], Sequence[Finding]]) -> Iterator[None]:
-    """Let a refusal name what is suspected of being its cause."""
+    """Add the suspects to an error as its possible causes."""
     try:
         yield
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
@@ -108,11 +125,8 @@ def refusal_naming(suspects: Callable[[], Sequence[Finding]]) -> Iterator[None]:
 def constant_actuators(campaign: Campaign, moments: Moments, noise: Noise) -> tuple[Finding, ...]:
     """Name actuators whose reading does not change from shape to shape by more than noise.
 
-    Raises
-    ------
-    RankDeficient
-        One does not change at all: no alpha of it can be had, nor the common scale, since whatever
-        force it exerts, and it may be any, could carry the load.
+    Raises RankDeficient if one does not change at all: it may exert any force, so that neither its
+    alpha nor the common scale can be determined.
     """
     weight, mean, n = moments.weight, moments.mean, moments.mean.shape[1]
     share = (moments.of_load * weight[:, None]).T
@@ -125,7 +139,15 @@ def constant_actuators(campaign: Campaign, moments: Moments, noise: Noise) -> tu
     freedom, change = moments.groups - loads, np.sqrt(square / weight.sum())
     if freedom < 1:
         return ()
-    _refuse_stuck(campaign, change <= STUCK_CHANGE * np.sqrt(np.mean(change**2 + statics**2)))
+    stuck = change <= STUCK_CHANGE * np.sqrt(np.mean(change**2 + statics**2))
+    if stuck.all():
+        fault = "FORCE is the same for all shapes"
+        remedy = "record the forces commanded for each shape, once the mirror has settled"
+        refuse([Fault(fault, remedy)])
+    if stuck.any():
+        ids = campaign.layout.id[campaign.layout.enabled][stuck].tolist()
+        fault = f"the reading of {named('actuator', ids, len(ids))} is stuck: it is the same for"
+        refuse([Fault(f"{fault} all shapes", ENTRIES[Code.STUCK_READING].remedy)])
     if noise.source == NoiseSource.MINIMUM:
         constant = change < MIN_RELATIVE_CHANGE * np.median(change)
     else:
@@ -140,34 +162,14 @@ def constant_actuators(campaign: Campaign, moments: Moments, noise: Noise) -> tu
     return tuple(found)
 
 
-def _refuse_stuck(campaign: Campaign, stuck: NDArray[np.bool_]) -> None:
-    """Refuse readings that do not change at all, given (n,) which."""
-    ids = campaign.layout.id[campaign.layout.enabled][stuck].tolist()
-    if stuck.all():
-        fault = "FORCE is the same for all shapes"
-        remedy = "record the forces commanded for each shape, once the mirror has settled"
-        refuse([Fault(fault, remedy)])
-    if ids:
-        fault = f"the reading of {named('actuator', ids, len(ids))} is stuck: it is the same for"
-        refuse([Fault(f"{fault} all shapes", ENTRIES[Code.STUCK_READING].remedy)])
-
-
 def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Finding, ...]:
-    """Name actuators whose alpha is 0 or negative while that of the others is not.
-
-    Parameters
-    ----------
-    campaign
-        The actuators.
-    alpha, error
-        (n,) of the enabled ones, and E_STAT.
-    """
+    """Name actuators whose (n,) alpha is 0 or negative while that of the others is not."""
     typical = float(np.median(alpha))
     known = error < WELL_KNOWN_ERROR * typical
     dead = known & (np.abs(alpha) < MAX_ALPHA_SIGMAS * error)
     negative = known & (alpha <= -MAX_ALPHA_SIGMAS * error)
-    many = max(2, MAX_DEAD_FRACTION * alpha.size)
-    if np.count_nonzero(dead | negative) > many:  # the model is wrong, not they
+    many = max(2, LIMITS.bad_fraction * alpha.size)
+    if np.count_nonzero(dead | negative) > many:  # the model is wrong, not the actuators
         return ()
     return tuple(
         about_actuators(
@@ -182,16 +184,8 @@ def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Find
     )
 
 
-MIN_SHAPE_ASYMMETRY = 0.2  # asymmetry of the stiffness in terms of its size
-MAX_REMAINING_ASYMMETRY = 0.5  # of it, which the better order leaves at most
-MIN_LOG_GAIN_OF_ORDER = np.log(1.5)  # larger each element of a better order is, on the average
-
-
 def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[Finding, ...]:
-    """Name an order of FORCE that POSITION contradicts.
-
-    Nothing is said where POSITION is not at hand, or shapes are too few for a stiffness.
-    """
+    """Name an order of FORCE that POSITION contradicts; none without a stiffness of the shapes."""
     stiffness = stiffness_of_shapes(moments)
     if stiffness is None:
         return ()
@@ -208,25 +202,15 @@ def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[Finding, .
         return ()
     where = f"{{}} (asymmetry of the stiffness {100 * before:.0f} %, in the best order"
     where += f" {100 * after:.0f} %)"
-    code, detail = (
-        (Code.EXCHANGED_COLUMNS, "FORCE or POSITION") if few else (Code.ORDER_OF_POSITION, "")
-    )
-    return (
-        about_actuators(
-            campaign.layout,
-            code,
-            moved,
-            where,
-            many="columns",
-            detail=detail,
-            size=before,
-            remedy=ORDER_OF_BOTH,
-        ),
-    )
+    what: dict[str, Any] = {"many": "columns", "size": before, "remedy": ORDER_OF_BOTH}
+    code = Code.ORDER_OF_POSITION
+    if few:
+        code, what["detail"] = Code.EXCHANGED_COLUMNS, "FORCE or POSITION"
+    return (about_actuators(campaign.layout, code, moved, where, **what),)
 
 
 def stiffness_of_shapes(moments: Moments) -> Array | None:
-    """Return (n, n) commanded forces on displacements [N/m]; None where the data do not hold it."""
+    """Return (n, n) commanded forces on displacements [N/m]; None if there are too few data."""
     counted = moments.weight > 0
     if moments.displacement is None:
         return None
@@ -254,25 +238,11 @@ def likeliest_order(stiffness: Array) -> NDArray[np.int64]:
     return assignment(-np.log(np.maximum(size, 1e-12 * size.max())))
 
 
-MIN_SHAPE_TO_NOISE = 2.0  # times its noise the weakest elastic shape must stand
-MAX_ORDER_PASSES = 10  # passes of the order
-HOME_SPACING_FRACTION = 0.1  # of the spacing of the actuators: nearer, they are seen at home
-TURN_COUNT, TRIED_TURNS = 72, 4  # of the places as a whole; the best of these
-MAX_COORDINATE = 10.0  # in units of the rms coordinate, beyond which one place is as bad as another
-MIN_DISTANCE_RATIO = 3.0  # times as far from its own place as all are from where they are seen
-MAX_ALPHA_FACTOR = 10.0  # alphas of a fit that counts lie within this factor
-MAX_CHI2_RATIO = 0.25  # of chi^2, where nothing tells what it should be
-
-
 def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]:
-    """Name actuators that stand elsewhere, or whose columns of FORCE are exchanged.
+    """Name actuators at other positions, or whose columns of FORCE are exchanged.
 
-    Nothing is said unless the balance is bad as they stand, and good or far better in their place.
-
-    Parameters
-    ----------
-    problem, moments
-        What was fitted, or could not be; all groups, also those that do not balance.
+    Only if the balance is bad as they are, and good or far better otherwise. ``moments`` has all
+    groups, also those that do not balance.
     """
     (probability, chi2), layout = _fit(problem, moments), problem.campaign.layout
     unknown = problem.noise.source == NoiseSource.MINIMUM
@@ -285,7 +255,7 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]
     places = problem.a.copy()
     for i, place in elsewhere.items():
         places[1:, i] = place
-    if elsewhere and _fit_at(problem, moments, places)[1] <= MAX_CHI2_RATIO * chi2:
+    if elsewhere and _fit(problem, moments, places)[1] <= MAX_CHI2_RATIO * chi2:
         return tuple(
             about_actuators(
                 layout,
@@ -302,7 +272,7 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]
         moved, places = np.flatnonzero(order != np.arange(problem.n)), problem.a[:, order]
         if not moved.size:
             continue
-        there = _fit_at(problem, moments, places)
+        there = _fit(problem, moments, places)
         if there[1] < MAX_CHI2_RATIO * chi2 if unknown else there[0] > MIN_FIT_PROBABILITY:
             remedy = "command one of them alone: if another responds, exchange the cables and"
             remedy += " measure again; otherwise exchange the columns of FORCE"
@@ -322,13 +292,13 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]
     return ()
 
 
-def _fit_at(problem: Problem, moments: Moments, places: Array) -> tuple[float, float]:
-    """Return the same as `_fit`, with actuators at (3, n) other arms."""
-    return _fit(replace(problem, moved=problem.moved + (places - problem.a)), moments)
+def _fit(problem: Problem, moments: Moments, places: Array | None = None) -> tuple[float, float]:
+    """Return the probability of the balance, and chi^2; 0 and infinite if the fit fails.
 
-
-def _fit(problem: Problem, moments: Moments) -> tuple[float, float]:
-    """Return the probability of the balance of a fit, and its chi^2; 0 where there is none."""
+    With actuators at the (3, n) arms ``places``, if given.
+    """
+    if places is not None:
+        problem = replace(problem, moved=problem.moved + (places - problem.a))
     try:
         scaled = roughly_scaled(problem, moments)
         minimum = scaled.fitted(moments)
@@ -342,9 +312,9 @@ def _fit(problem: Problem, moments: Moments) -> tuple[float, float]:
 
 
 def seen_orders(problem: Problem, seen: Array) -> Iterator[NDArray[np.int64]]:
-    """Yield (n,) the actuator at whose place each is seen, itself unless clearly at another.
+    """Yield (n,) the actuator at whose position each one acts, itself unless clearly another.
 
-    First as most stand at their own place; then whatever order shows the layout best.
+    First with most at their own position; then the order that fits the layout best.
     """
     arms = arms_in_units_of_rms(problem.campaign.layout)
     places, itself = (arms[1:] / arms[0]).T, np.arange(problem.n)
@@ -368,9 +338,9 @@ def seen_orders(problem: Problem, seen: Array) -> Iterator[NDArray[np.int64]]:
 
 
 def _settled(seen: Array, arms: Array, order: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Return (n, n) distances of places seen from places, and the order that these settle at."""
+    """Return (n, n) distances of inferred positions from positions, and the order that results."""
     places = (arms[1:] / arms[0]).T
-    for _ in range(MAX_ORDER_PASSES):
+    for _ in range(10):
         distance = np.linalg.norm(projected(seen, arms[:, order])[:, None] - places, axis=2)
         before, order = order, assignment(np.minimum(distance, MAX_COORDINATE) ** 2)
         if np.array_equal(order, before):
@@ -379,28 +349,28 @@ def _settled(seen: Array, arms: Array, order: NDArray[np.int64]) -> tuple[Array,
 
 
 def _turned(seen: Array, places: Array) -> Iterator[NDArray[np.int64]]:
-    """Yield the orders in which places seen, turned or mirrored as a whole, are most like places.
+    """Yield orders in which the inferred positions, turned or mirrored as a whole, fit best.
 
-    If alpha were the same for all, (n, 2) places were (3, n) seen but for a linear map, and a turn
-    once both have unit moments.
+    If alpha were the same for all, (n, 2) positions would be (3, n) ``seen`` in a linear map, and a
+    rotation once both have unit moments.
     """
     flat = np.linalg.lstsq(seen.T, np.ones(len(places)), rcond=None)[0] @ seen
     whole = np.linalg.svd(seen / flat)[2]  # one row of its span is that of ones
     across = scipy.linalg.null_space(np.ones((1, len(places))) @ whole[:3].T).T @ whole[:3]
     of_places = np.linalg.svd((places - places.mean(axis=0)).T, full_matrices=False)[2].T
     tree, turns = scipy.spatial.cKDTree(of_places), []
-    for angle in np.linspace(0.0, 2.0 * np.pi, TURN_COUNT, endpoint=False):
+    for angle in np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False):
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         for mirror in (1.0, -1.0):
             turned = (turn @ (across * np.array([[1.0], [mirror]]))).T
             turns.append((float(np.mean(tree.query(turned)[0] ** 2)), turned))
     turns.sort(key=lambda one: one[0])
-    for _, turned in turns[:TRIED_TURNS]:
+    for _, turned in turns[:4]:
         yield assignment(np.linalg.norm(turned[:, None] - of_places, axis=2) ** 2)
 
 
 def _homogeneous(problem: Problem, moments: Moments) -> Array | None:
-    """Return (3, n) T A diag(alpha), with some (3, 3) T; None where more than these drowns."""
+    """Return (3, n) T A diag(alpha), with some (3, 3) T; None if more directions are noise."""
     sigma = np.sqrt(problem.noise.variance)
     centred = centred_means(moments) / sigma
     values, vectors = scipy.linalg.eigh(centred.T @ centred, subset_by_index=(0, 3))
@@ -412,22 +382,8 @@ def _homogeneous(problem: Problem, moments: Moments) -> Array | None:
     return np.asarray((vectors[:, :3] / sigma[:, None]).T)
 
 
-MIN_SCATTER_RATIO = 1.5  # times FORCERR: a scatter of the repeats that is said
-MAX_DAYS_APART = 30.0  # days without a file, in one campaign
-WARM_TEMPERATURE = 50.0  # [deg C]
-MAX_BIAS_TO_WEIGHT = 3.0  # times the weight: bias magnets that hold so much hold another weight
-
-
-def noise_warnings(free: int, weakest: str, held: int, error: float) -> Iterator[Finding]:
-    """Warn of patterns hardly above the noise, and of those held, with the error of each."""
-    if free:
-        yield Finding.of(Code.WEAK_PATTERNS, count=free, weakest=weakest)
-    if held:
-        yield Finding.of(Code.CONSTRAINED_PATTERNS, count=held, error=error)
-
-
 def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Finding]:
-    """Warn of weights that disagree more than their errors allow, and of sensors set anew."""
+    """Warn of weights, dates, noise and sensors that do not agree."""
     loads = len(problem.campaign.loads)  # the common scale and B take up two of them
     size = float(np.sum(minimum.values[problem.unknowns.weights] ** 2))
     if loads > 2 and chi2_sf(size, loads - 2) <= 1e-3:
@@ -444,17 +400,11 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
     if known and louder > MIN_SCATTER_RATIO and in_newton:
         noise = 1e3 * moments.noise
         yield Finding.of(Code.NOISE_ABOVE_DECLARED, noise=noise, ratio=louder)
-    anew = int(np.count_nonzero(_set_anew(problem, moments)))
-    if anew:
-        yield Finding.of(Code.ZEROS_RESET, sensors=anew)
-
-
-def _set_anew(problem: Problem, moments: Moments) -> NDArray[np.bool_]:
-    """Return (n,) whose zero was set anew, those left aside that do not move at all."""
-    anew, campaign = np.isnan(moments.reference), problem.campaign
-    if not (anew.any() and any(map(is_displaced, campaign.cycles))):
-        return np.zeros_like(anew)
-    return np.asarray(anew & ~still_sensors(campaign).any(axis=0))
+    reset = np.isnan(moments.reference)
+    if reset.any() and any(map(is_displaced, problem.campaign.cycles)):
+        reset &= ~still_sensors(problem.campaign).any(axis=0)  # of those that move at all
+        if reset.any():
+            yield Finding.of(Code.ZEROS_RESET, sensors=int(np.count_nonzero(reset)))
 
 
 def _cycle_warnings(campaign: Campaign) -> Iterator[Finding]:
@@ -471,10 +421,10 @@ def _cycle_warnings(campaign: Campaign) -> Iterator[Finding]:
 
 
 def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Finding]:
-    """Warn of a WEIGHT that actuators cannot have held, or magnets not have been made for.
+    """Warn of a WEIGHT that the actuators cannot have held, or that the magnets were not made for.
 
     Shapes take several times the share of an actuator in the weight, and bias magnets are made to
-    bear about that weight. Alpha rests on the differences between loads alone, unless they tilt.
+    bear about that weight. Alpha depends only on differences between loads, unless they tilt.
     """
     campaign, n = problem.campaign, problem.n
     # By actuators first: another array of all means would be the largest of a calibration.
@@ -489,7 +439,7 @@ def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> It
 
 
 def _rounding_warnings(problem: Problem, moments: Moments) -> Iterator[Finding]:
-    """Say that forces come in steps, where that makes most of their noise."""
+    """Warn that forces come in steps, if that makes most of their noise."""
     noise, repeats = problem.noise, moments.rows.sum() / moments.groups
     rounding, variance = float(np.mean(moments.rounding)), noise.seen + noise.hidden / repeats
     if noise.source == NoiseSource.MINIMUM or 2 * rounding < variance.mean():

@@ -8,7 +8,7 @@ covariance are
 and half the sum of r rho' S^-1 rho is minimised. The likeliest noiseless reading is c^ = c - P rho
 with P = Sigma diag(alpha) A' S^-1; with J = [A diag(c^) | dk/dpsi] the gradient is the sum of
 r J' S^-1 rho. M, the sum of r J' S^-1 J, is not the information: c^ still carries the noise
-V = Sigma - Sigma diag(alpha) A' S^-1 A diag(alpha) Sigma, which feigns, for each distinct shape,
+V = Sigma - Sigma diag(alpha) A' S^-1 A diag(alpha) Sigma, which adds to M, for each distinct shape,
 
     D = (A' S^-1 A) o V        on alpha                                   (o: elementwise)
 
@@ -38,90 +38,66 @@ from truenewton.linalg import ROWS_AT_ONCE, inverse_of_factor, mirrored
 
 @dataclass(frozen=True, eq=False)
 class DataSet:
-    """Shapes under L loads that share one noise.
+    """Shapes under L loads that share one noise."""
 
-    Attributes
-    ----------
-    sums
-        The shapes.
-    variance
-        (n,) of one reading of weight 1, the diagonal of Sigma, as the balance feels it.
-    load
-        (L, 3) the part of k known beforehand: (W, 0, 0).
-    nuisance
-        (L, 3, p) derivative of k with respect to the unknowns beside alpha.
-    excess
-        All of the variance of a reading in terms of ``variance``: more than 1 where the mirror's
-        own motion, which balances, makes part of the noise.
-    disturbance
-        (3, 3) covariance of what disturbs the balance of one row of weight 1 besides, as an unknown
-        force at an actuator does; or 0.
-    """
-
-    sums: ShapeSums
+    sums: ShapeSums  # sums over the shapes
+    # (n,) of one reading of weight 1, the diagonal of Sigma, as the balance feels it.
     variance: Array
-    load: Array
-    nuisance: Array
+    load: Array  # (L, 3) the part of k that is known beforehand: (W, 0, 0)
+    nuisance: Array  # (L, 3, p) derivative of k with respect to the unknowns beside alpha
+    # Total variance of a reading in units of ``variance``: more than 1 if part of the noise
+    # is motion of the mirror itself, which balances.
     excess: float = 1.0
+    # (3, 3) covariance of a further disturbance of the balance of one row of weight 1, such
+    # as an unknown force at an actuator; or 0.
     disturbance: Array | float = 0.0
 
     def external(self, psi: Array) -> Array:
         """Return (L, 3) k of every load."""
         return np.asarray(self.load + self.nuisance @ psi)
 
+    def covariance(self, scaled_arms: Array) -> Array:
+        """Return (3, 3) S, from (3, n) A diag(alpha)."""
+        return np.asarray((scaled_arms * self.variance) @ scaled_arms.T + self.disturbance)
+
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of the unknowns besides the data, all of it normal.
+    """What is known of the unknowns besides the data, all of it normal."""
 
-    Attributes
-    ----------
-    mean
-        (u,) of all unknowns.
-    information
-        (k, k) on the first k of them; may be singular, and is 0 by 0 where nothing is known.
-    measured
-        How many of the last unknowns are errors of the weights: measured as 0 +- 1.
-    held
-        Whether they stay 0: under two loads B and the common scale take up whatever they are, and
-        the data say nothing of them.
-    """
-
-    mean: Array
+    mean: Array  # (u,) of all unknowns
+    # (k, k) on the first k of them; may be singular, and is 0 by 0 if there is none.
     information: Array
-    measured: int = 0
+    measured: int = 0  # how many of the last unknowns are errors of the weights: measured as 0 +- 1
+    # Whether they stay 0: under two loads they are degenerate with B and the common scale.
     held: bool = False
 
     def added_to(self, matrix: Array) -> Array:
-        """Add all of it to a (k, k) matrix of the first k unknowns, in place; return the matrix."""
+        """Add the information to a (k, k) matrix of the first k unknowns, in place; return it."""
         k, last = len(self.information), np.arange(len(self.mean) - self.measured, len(matrix))
         matrix[:k, :k] += self.information
         matrix[last, last] += 1.0
         return matrix
 
     def pull(self, values: Array) -> Array:
-        """Return (u,) the information times how far the values are from the mean."""
+        """Return the (u,) gradient of the prior at (u,) values."""
         k, t, apart = len(self.information), len(self.mean) - self.measured, values - self.mean
         return np.concatenate([self.information @ apart[:k], np.zeros(t - k), apart[t:]])
 
     def with_more(self, information: Array) -> Prior:
-        """Return the prior with (n, n) more information on alpha."""
+        """Return the prior with additional (n, n) information on alpha."""
         before = self.information if self.information.size else 0.0
         return replace(self, information=before + information)
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseInformation:
-    """D, what noise alone would feign of the information on alpha: diag(d) - R' R.
+    """D, the spurious information on alpha that noise alone produces: diag(d) - R' R.
 
-    A' S^-1 A and what S takes from V have rank 3 each, so their product by elements has 9.
-
-    Attributes
-    ----------
-    diagonal, root
-        (n,) d and (9, n) R, nine more rows for each further noise.
+    A' S^-1 A and what S takes from V have rank 3 each, so their elementwise product has rank 9.
     """
 
+    # (n,) d and (9, n) R, nine more rows for each further noise.
     diagonal: Array
     root: Array
 
@@ -130,9 +106,9 @@ class NoiseInformation:
         return np.asarray(self.diagonal[:, None] * vectors - self.root.T @ (self.root @ vectors))
 
     def taken_from(self, matrix: Array, times: float) -> Array:
-        """Return what D, so many times, leaves of a (u, u) symmetric matrix, its upper triangle.
+        """Return a (u, u) symmetric matrix less D times a factor: its upper triangle.
 
-        In the order of Fortran, so in the lower triangle.
+        In Fortran order, so it is in the lower triangle.
         """
         n, left = len(self.diagonal), np.array(matrix.T, order="F")
         at = np.arange(n)
@@ -143,40 +119,22 @@ class NoiseInformation:
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """The minimum and what it is worth; t unknowns without the errors of the weights.
+    """The minimum and its covariance; t unknowns without the errors of the weights."""
 
-    Attributes
-    ----------
-    values
-        (u,) alpha, then the unknowns beside it.
-    chi2
-        Sum of r rho' S^-1 rho over the data, prior left out.
-    information
-        (u, u) H, that of the prior added: its upper triangle.
-    noise_information, noise_share
-        D, by how much M is larger; the sum of its eigenvalues in terms of H, B and the torques
-        eliminated.
-    reading_covariance
-        (t, t) covariance from the readings (and from a population).
-    changes
-        (t, measured) change of the values by one standard uncertainty of each error of the weights.
-    iterations
-        Steps taken.
-    """
-
-    values: Array
-    chi2: float
-    information: Array
+    values: Array  # (u,) alpha, then the unknowns beside it
+    chi2: float  # sum of r rho' S^-1 rho over the data, without the prior
+    information: Array  # (u, u) H with that of the prior: its upper triangle
+    # D, by which M exceeds H; the sum of its eigenvalues in units of H, B and the torques
+    # eliminated.
     noise_information: NoiseInformation
     noise_share: float
-    reading_covariance: Array
+    reading_covariance: Array  # (t, t) covariance from the readings (and from a population)
+    # (t, measured) change of the values by one standard uncertainty of each error of the
+    # weights.
     changes: Array
-    iterations: int
+    iterations: int  # number of steps
 
 
-MAX_LIKELIHOOD_STEPS = 60
-CONVERGED_SQUARED_STEP = 1e-10  # squared step in standard errors at which the iteration ends
-UNSHORTENED_STEP = 1e-3  # below which no step is shortened
 MAX_ALPHA = 1e6  # of alpha, true over commanded force
 
 
@@ -184,7 +142,7 @@ MAX_ALPHA = 1e6  # of alpha, true over commanded force
 class _Terms:
     """The sums at one point: twice the objective, gradient, H without the prior, and D.
 
-    Of H the upper triangle alone; LAPACK, in the order of Fortran, takes it for the lower one.
+    H has its upper triangle only; LAPACK, in Fortran order, takes it for the lower one.
     """
 
     chi2: float
@@ -205,13 +163,12 @@ def chi2_at(a: Array, data: Sequence[DataSet], values: Array) -> float:
     for part in data:
         scaled_arms = a * values[:n]
         _, _, rho_rho = _imbalance(part.sums, scaled_arms, part.external(values[n:]))
-        s = (scaled_arms * part.variance) @ scaled_arms.T + part.disturbance
-        total += float(np.trace(np.linalg.solve(s, rho_rho)))
+        total += float(np.trace(np.linalg.solve(part.covariance(scaled_arms), rho_rho)))
     return max(total, 0.0)
 
 
 def _imbalance(sums: ShapeSums, scaled_arms: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Return the sums of r rho (L, 3) by load, and r rho c' (3, n) and r rho rho' (3, 3) of all."""
+    """Return the sums of r rho by load (L, 3), and of r rho c' (3, n) and r rho rho' (3, 3)."""
     product = scaled_arms @ sums.square
     cross = scaled_arms @ sums.known_force.T
     mean = sums.force @ scaled_arms.T + sums.known
@@ -234,14 +191,10 @@ def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
         sums = part.sums
         rho, rho_c, rho_rho = _imbalance(sums, scaled_arms, part.external(psi))
         noisy = scaled_arms * part.variance  # A diag(alpha) Sigma
-        s_inverse = np.asarray(
-            np.linalg.inv(noisy @ scaled_arms.T + part.disturbance), dtype=np.float64
-        )
+        s_inverse = np.asarray(np.linalg.inv(part.covariance(scaled_arms)))
         root = np.linalg.cholesky(s_inverse).T  # S^-1 = root' root
-        white, taken = (
-            root @ a,
-            np.sqrt(part.excess) * (root @ noisy),
-        )  # A' S^-1 A = white' white; V = Sigma - taken' taken
+        # A' S^-1 A = white' white; V = Sigma - taken' taken
+        white, taken = root @ a, np.sqrt(part.excess) * (root @ noisy)
         p = noisy.T @ s_inverse
         # c^ = c - P rho, summed: rho c^' and c^ c^' = c c' - P half - half' P'.
         rho_fitted = rho_c - rho_rho @ p.T
@@ -276,7 +229,7 @@ def _add_product(matrix: Array, white: Array, square: Array, left: Array, right:
 def _add_nuisance(
     matrix: Array, part: DataSet, s_inverse: Array, a: Array, force: Array, rho: Array
 ) -> Array:
-    """Add what (L, n) summed forces say of the unknowns beside alpha; return their gradient."""
+    """Add the information of (L, n) forces on the unknowns beside alpha; return its gradient."""
     n, gradient = a.shape[1], np.zeros(len(matrix) - a.shape[1])
     for f, r, weight, nuisance in zip(force, rho, part.sums.weight, part.nuisance, strict=True):
         pull = nuisance.T @ s_inverse
@@ -287,26 +240,13 @@ def _add_nuisance(
 
 
 def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> Minimum:
-    """Find the likeliest alpha and nuisance.
+    """Return the likeliest alpha and nuisance, from (3, n) arms and a (u,) start.
 
-    Parameters
-    ----------
-    a
-        (3, n) arms of the enabled actuators.
-    data
-        The sets of shapes.
-    prior
-        What is known besides.
-    start
-        (u,) where to begin.
-
-    Raises
-    ------
-    NotConverged
-        The iteration does not settle.
+    Raises NotConverged or RankDeficient.
     """
     values, before = start.copy(), np.inf
-    for iteration in range(1, MAX_LIKELIHOOD_STEPS + 1):
+    converged, unshortened = 1e-10, 1e-3  # squared step in standard errors
+    for iteration in range(1, 61):
         try:
             terms = _terms(a, data, values)
         except np.linalg.LinAlgError:  # alpha ran away along a pattern that nothing holds
@@ -314,41 +254,28 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> M
         pull = prior.pull(values)
         step, decrement, factor = _step(terms, prior, terms.gradient + pull)
         # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.
-        if decrement < CONVERGED_SQUARED_STEP or (
-            decrement < UNSHORTENED_STEP and decrement > 0.25 * before
-        ):
+        if decrement < converged or (decrement < unshortened and decrement > 0.25 * before):
             return _minimum(terms, prior, values, factor, iteration)
         before = decrement
-        if decrement >= UNSHORTENED_STEP:
+        if decrement >= unshortened:
             objective = float(terms.chi2 + (values - prior.mean) @ pull)
             step = step * _shortening(a, data, prior, values, step, objective)
         values = values - step
         del terms, factor  # the next ones need their room
     raise NotConverged(
-        f"the likelihood has not settled after {MAX_LIKELIHOOD_STEPS} steps",
-        remedy="look at `truenewton info`: outliers, or shapes that drown in noise",
+        f"the likelihood has not settled after {iteration} steps",
+        remedy="look at `truenewton info`: outliers, or shapes below the noise",
         got=float(decrement),
-        want=CONVERGED_SQUARED_STEP,
+        want=converged,
     )
 
 
 def expected(a: Array, data: Sequence[DataSet], prior: Prior, values: Array) -> Minimum:
     """Return what `minimise` will state on the average, from sums over noiseless readings.
 
-    These feign nothing: at the true values M is the information itself, and noise will add D to M
-    alone. So H of noisy readings is M of noiseless ones, and their covariance H^-1 (H + D) H^-1.
-
-    Parameters
-    ----------
-    a, data, prior
-        As for `minimise`; the sums of forces that balance with ``values``.
-    values
-        (u,) the truth.
-
-    Raises
-    ------
-    RankDeficient
-        The shapes leave some pattern of alpha free.
+    At the true (u,) values M is the information itself; noise will add D to M alone. So H of noisy
+    readings is M of noiseless ones, and their covariance is H^-1 (H + D) H^-1. Raises RankDeficient
+    if the shapes leave a pattern of alpha free.
     """
     terms = _terms(a, data, values)
     terms = replace(terms, h=terms.m)
@@ -392,10 +319,10 @@ def _minimum(
 ) -> Minimum:
     """Return the minimum with its covariance, H^-1 M H^-1, from readings and weights apart.
 
-    The errors of the weights are eliminated: against quiet readings they are all but degenerate
-    with the common scale, and H^-1 of all unknowns would drown in rounding what the readings say.
-    With theta the other unknowns, which come first in the factor, and T = H_tt^-1 M_tu, the scores
-    g move theta by H_tt^-1 g_t - T C (g_u - T' g_t), C = (1 + M_uu - M_ut T)^-1.
+    The errors of the weights are eliminated: against quiet readings they are almost degenerate with
+    the common scale, and in H^-1 of all unknowns rounding would exceed the information of the
+    readings. With theta the other unknowns, which come first in the factor, and T = H_tt^-1 M_tu,
+    the scores g move theta by H_tt^-1 g_t - T C (g_u - T' g_t), C = (1 + M_uu - M_ut T)^-1.
     """
     n, t = len(terms.noise_information.diagonal), len(values) - prior.measured
     if factor is None or np.abs(values[:n]).max() > MAX_ALPHA:  # where weights count for nothing
@@ -432,22 +359,20 @@ def _minimum(
 
 
 def _not_negative(matrix: Array) -> Array:
-    """Return the nearest covariance to a small symmetric matrix that rounding may have spoiled."""
+    """Return the nearest covariance to a small symmetric matrix with rounding errors."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
-    """Return (u,) weighted least squares, noise taken out: alpha = 1 in S, linear in the rest."""
+    """Return (u,) weighted least squares, noise removed: alpha = 1 in S, linear in the rest."""
     n = a.shape[1]
     u = len(prior.mean)
     matrix, right = prior.added_to(np.zeros((u, u))), -prior.pull(np.zeros(u))
     nothing = np.zeros((n, 0))
     for part in data:
         sums = part.sums
-        s_inverse = np.asarray(
-            np.linalg.inv((a * part.variance) @ a.T + part.disturbance), dtype=np.float64
-        )
+        s_inverse = np.asarray(np.linalg.inv(part.covariance(a)))
         white, weighed = np.linalg.cholesky(s_inverse).T @ a, s_inverse @ a
         _add_product(matrix, white, sums.square, nothing, nothing.T)
         at = np.arange(n)
@@ -492,15 +417,14 @@ def gram_of_e(a: Array, part: DataSet) -> Array:
 
 # -- alpha as a sample of one population ---------------------------------------------------------
 
-# Actuators, which are enough to leave smooth patterns of the fourth degree free.
-MIN_SMOOTH_ACTUATORS = 100
-MIN_POPULATION_SPREAD = 1e-3  # no coils and magnets are more alike
+MIN_SMOOTH_ACTUATORS = 100  # enough to leave smooth patterns of the fourth degree free
+MIN_POPULATION_SPREAD = 1e-3  # coils and magnets scatter by more than that
 
 
 def smooth_patterns(a: Array) -> Array:
-    """Return (n, p) orthonormal polynomials of the places in (3, n) arms.
+    """Return (n, p) orthonormal polynomials of the coordinates in (3, n) arms.
 
-    Quadratic; of the fourth degree on mirrors of `MIN_SMOOTH_ACTUATORS` actuators.
+    Of second degree; of fourth degree on mirrors of `MIN_SMOOTH_ACTUATORS` actuators.
     """
     degree = 4 if a.shape[1] >= MIN_SMOOTH_ACTUATORS else 2
     x, y = a[1:] / np.sqrt(np.mean(a[1:] ** 2, axis=1, keepdims=True))
@@ -509,27 +433,27 @@ def smooth_patterns(a: Array) -> Array:
 
 
 def on_logarithms(smooth: Array, spread: float) -> Array:
-    """Return the (n, n) information on log alpha: (n, p) smooth patterns are free of it."""
+    """Return the (n, n) information on log alpha, none along the (n, p) smooth patterns."""
     return np.asarray((np.eye(len(smooth)) - smooth @ smooth.T) / spread**2)
 
 
 def pull(information: Array, alpha: Array) -> tuple[Array, Array]:
-    """Return gradient, (n,), and (n, n) information on alpha of one on its logarithm."""
+    """Return the (n,) gradient and (n, n) information on alpha, given those on its logarithm."""
     per = 1.0 / positive(alpha)
     return -per * (information @ np.log(per)), information * np.outer(per, per)
 
 
 def positive(alpha: Array) -> Array:
-    """Return (n,) alpha of which a logarithm can be had: of an actuator without force as well."""
+    """Return (n,) alpha with a positive lower limit, so that its logarithm exists."""
     return np.asarray(np.maximum(alpha, 0.1 * np.median(alpha)))
 
 
 def with_population(prior: Prior, smooth: Array, alpha: Array, spread: float) -> Prior:
-    """Return the prior with what a population says of log alpha, to first order at (n,) alpha.
+    """Return the prior with that of a population on log alpha, to first order at (n,) alpha.
 
-    Of the logarithm, as balance holds what neighbours are in terms of each other far better than
-    what a region is: were the deviations themselves pulled to 0, every region would be pulled with
-    them, the common scale too.
+    The logarithm is used because the balance determines ratios of neighbours far better than the
+    mean of a region: a pull of the deviations themselves to 0 would shift whole regions, and the
+    common scale.
     """
     n, at = len(alpha), positive(alpha)
     information = pull(on_logarithms(smooth, spread), alpha)[1]
@@ -543,18 +467,13 @@ def with_population(prior: Prior, smooth: Array, alpha: Array, spread: float) ->
 def likeliest_spread(
     smooth: Array, alpha: Array, covariance: Array, spread: float = np.inf
 ) -> float:
-    """Return the likeliest spread of log alpha about what is smooth.
+    """Return the likeliest spread of log alpha about the (n, p) smooth patterns.
 
-    What data alone say of a pattern that is not smooth, all else eliminated, is y with variance v;
-    minus twice the log of its marginal likelihood is log (spread^2 + v) + y^2 / (spread^2 + v)
-    (restricted maximum likelihood; Patterson and Thompson, Biometrika 58, 1971).
-
-    Parameters
-    ----------
-    smooth, alpha, covariance
-        (n, p); (n,) and its (n, n) covariance.
-    spread
-        Of the population with which they were found; infinite for none.
+    The estimate from the data alone of a pattern that is not smooth, all else eliminated, is y with
+    variance v; minus twice the log of its marginal likelihood is
+    log (spread^2 + v) + y^2 / (spread^2 + v) (restricted maximum likelihood; Patterson and
+    Thompson, Biometrika 58, 1971). ``alpha`` (n,) and its (n, n) ``covariance`` were found with a
+    population of the given ``spread``; infinite for none.
     """
     now = spread**-2
     basis = np.linalg.qr(smooth, mode="complete")[0][:, smooth.shape[1] :]

@@ -1,4 +1,14 @@
-"""What the likelihood is asked: data, noise, unknowns and priors of a campaign."""
+"""The problem of a campaign: data, noise, unknowns and priors; and the shapes that do not balance.
+
+A shape is left out if its squared Mahalanobis distance r rho' S^-1 rho (three degrees of freedom)
+is larger than chance allows. The fit starts from the three quarters of the shapes that fit best, so
+that outliers in a tenth of them have no influence; the first of them agree with their opposites. A
+sound campaign loses a shape once in four hundred.
+
+These shapes are accidents only if they are few and the others balance without them. Otherwise the
+model is incomplete, and soft shapes, of small forces, would be left out for it (docs/effects.md):
+then a shape is left out only if it exceeds the imbalance of the others.
+"""
 
 from __future__ import annotations
 
@@ -50,37 +60,21 @@ def load_data(
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """All that the likelihood needs besides the moments.
+    """All that the likelihood needs besides the moments."""
 
-    Attributes
-    ----------
-    campaign
-        The campaign.
-    errors
-        Of the weights; their size is the last of the unknowns.
-    noise
-        Of a reading.
-    prior
-        Of the errors of the weights, and of alpha where it is one of a population.
-    elastic
-        Shapes from a stiffness matrix.
-    moved
-        (3, n) how far the arms are from those of the layout; 0 unless positions were corrected.
-    disturbance
-        (3, 3) of `minimum.DataSet`.
-    """
-
-    campaign: Campaign
-    errors: WeightErrors
-    noise: Noise
-    prior: Prior
-    elastic: tuple[DataSet, ...] = ()
+    campaign: Campaign  # the campaign
+    errors: WeightErrors  # errors of the weights; their sizes are the last of the unknowns
+    noise: Noise  # of a reading
+    prior: Prior  # of the errors of the weights, and of alpha as one population
+    elastic: tuple[DataSet, ...] = ()  # shapes from a stiffness matrix
+    # (3, n) difference of the arms from those of the layout; 0 unless positions were
+    # corrected.
     moved: Array | float = 0.0
-    disturbance: Array | float = 0.0
+    disturbance: Array | float = 0.0  # (3, 3) of `DataSet`
 
     @property
     def dependent(self) -> bool:
-        """Whether the readings of a row depend on each other, as far as the balance feels it."""
+        """Whether the readings of a row are correlated, as far as the balance shows."""
         return bool(np.isfinite(self.noise.share_freedom))
 
     @cached_property
@@ -95,7 +89,7 @@ class Problem:
 
     @cached_property
     def unknowns(self) -> Unknowns:
-        """The order of the unknowns, errors of the weights among them."""
+        """The order of the unknowns, including errors of the weights."""
         return Unknowns(self.n, len(self.campaign.loads), len(self.errors))
 
     def degrees_of_freedom(self, moments: Moments) -> int:
@@ -110,7 +104,7 @@ class Problem:
         return [replace(of_loads, excess=excess, disturbance=disturbance), *self.elastic]
 
     def fitted(self, moments: Moments, start: Array | None = None) -> Minimum:
-        """Return the likeliest values, from a (u,) start where there is a better one than usual."""
+        """Return the likeliest values, from a (u,) start if there is a better one than usual."""
         data = self.data(moments)
         begin = start_values(self.a, data, self.prior) if start is None else start
         return minimise(self.a, data, self.prior, begin)
@@ -128,15 +122,9 @@ class Problem:
         rho, s = self.imbalance(values, moments)
         return squared_distances(rho, moments.weight, s)
 
-    def standing_out(self, values: Array, moments: Moments) -> NDArray[np.int64]:
-        """Return (g,) the ID that would best explain the imbalance of each group."""
-        rho, s = self.imbalance(values, moments)
-        ids = self.campaign.layout.id[self.campaign.layout.enabled]
-        return np.asarray(ids[standing_out(rho, self.a * values[: self.n], s)])
-
 
 def problem_of(campaign: Campaign, noise: Noise, errors: WeightErrors | None = None) -> Problem:
-    """Pose the problem of a campaign, whose weights have their declared errors unless given."""
+    """Return the problem of a campaign; by default its weights have their declared errors."""
     errors = weight_errors(campaign) if errors is None else errors
     n = int(campaign.layout.enabled.sum())
     unknowns = Unknowns(n, len(campaign.loads), len(errors))
@@ -166,10 +154,10 @@ def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
 def with_share_in_balance(problem: Problem, screened: ScreenedCampaign, alpha: Array) -> Problem:
     """Return the problem with the share of the repeats' scatter that reaches the balance.
 
-    From the imbalance of deviations from the mean, A diag(alpha) (c - c_mean), of some repeated
-    rows; 1 unless they say otherwise by more than four standard errors. Where more reaches it than
-    independent readings would bring, something pushes many actuators at once, most in one
-    direction: then it disturbs the balance by as much, direction by direction.
+    It is estimated from the imbalance of deviations from the mean, A diag(alpha) (c - c_mean), of
+    some repeated rows, and differs from 1 only by more than four standard errors. If it exceeds 1,
+    something pushes many actuators at once, mostly in one direction: then this is a disturbance of
+    the balance, direction by direction.
     """
     if problem.noise.source != NoiseSource.REPEATS:
         return problem
@@ -194,13 +182,13 @@ def with_noise_from_minimum(
     problem: Problem,
     moments: Moments,
     minimum: Minimum,
-    freedom: Callable[[Problem, Moments, Minimum], float] = lambda problem, moments, _: (
-        problem.degrees_of_freedom(moments)
+    freedom: Callable[[Problem, Moments, Minimum], float] = (
+        lambda problem, moments, _: problem.degrees_of_freedom(moments)
     ),
 ) -> tuple[Problem, Minimum]:
-    """Give the noise its size from the minimum, where nothing else does; with it D.
+    """Give an unknown noise its size from the minimum, and with it D.
 
-    Degrees of freedom are those of the problem, unless a function gives those of a minimum.
+    ``freedom`` gives the degrees of freedom of a minimum; by default those of the problem.
     """
     for _ in range(20):
         if problem.noise.source != NoiseSource.MINIMUM:
@@ -214,7 +202,7 @@ def with_noise_from_minimum(
     return problem, minimum
 
 
-CORE_FRACTION = 0.75  # of the shapes that make the robust start
+CORE_FRACTION = 0.75  # of the shapes, of the robust start
 START_DEVIATIONS = 10.0  # median deviations, 6.7 sigma: for a start only
 MAX_OUTLYING_FRACTION = 0.12  # of the groups may be accidents
 
@@ -225,15 +213,9 @@ Fitted = tuple[Problem, Minimum]
 def balancing_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:
     """Fit the groups that balance with the rest.
 
-    Returns
-    -------
-    belongs, distance, fitted
-        (g,) true for groups that belong; (g,) squared distances of all from the fit to those; that
-        fit, and the problem with a noise that was given its first size.
-
-    Raises
-    ------
-    RankDeficient, NotConverged, TooManyOutliers
+    Return (g,) which groups belong, (g,) squared distances of all from the fit to those, and that
+    fit, with the problem in which an unknown noise has its first size. Raises RankDeficient,
+    NotConverged or TooManyOutliers.
     """
     limit = float(chi2_isf(OF_EACH_KIND / len(moments.rows), 3))
     try:
@@ -251,10 +233,7 @@ def balancing_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.boo
 
 
 def _accidents(belongs: NDArray[np.bool_], moments: Moments, fitted: Fitted) -> bool:
-    """Tell whether few groups do not belong, and the others balance without them.
-
-    Where they do not, the model falls short, and what lies far is as good as the rest.
-    """
+    """Return whether few groups do not belong, and the others balance without them."""
     problem, minimum = fitted
     few = np.count_nonzero(~belongs) <= MAX_OUTLYING_FRACTION * len(belongs)
     if problem.noise.source == NoiseSource.MINIMUM:
@@ -297,8 +276,8 @@ def _within(
 def _fitted(problem: Problem, groups: Moments, moments: Moments) -> tuple[Fitted, Array]:
     """Fit some groups; return also the squared distances of all.
 
-    These are in units of their own spread, where noise or model fall short: the median of chi^2
-    with three degrees of freedom is 2.37; a larger one is no outlier's doing.
+    These are relative to their own spread if noise or model are incomplete: the median of chi^2
+    with three degrees of freedom is 2.37, and outliers do not make it larger.
     """
     scaled = roughly_scaled(problem, groups)
     minimum = scaled.fitted(groups)
@@ -309,10 +288,11 @@ def _fitted(problem: Problem, groups: Moments, moments: Moments) -> tuple[Fitted
 
 
 def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
-    """Tell which of the (g,) groups agree with their opposites, as those of most shapes do.
+    """Return which of the (g,) groups agree with their opposites, as most do.
 
-    A shape and its negative together leave the static forces, which are the same for all shapes of
-    a load. No model enters, so a start from these groups is one that bad rows cannot drag.
+    The sum of a shape and its negative contains only the static forces, which are the same for all
+    shapes of a load. This needs no model, so bad rows have no influence on a start from these
+    groups.
     """
     labels, alike = moments.labels, np.ones(len(moments.labels), dtype=bool)
     first = np.flatnonzero((labels[1:, :2] == labels[:-1, :2]).all(axis=1))
@@ -338,36 +318,23 @@ def balancing_moments(
 ) -> tuple[Moments, tuple[RejectedRow, ...]]:
     """Return the moments of the groups that belong, and the rows of the others.
 
-    ``belongs`` (g,), ``distance`` (g,) and ``fitted`` are those of `balancing_groups`.
-
-    Raises
-    ------
-    TooManyOutliers
-        With the rows left out before, more than accidents take.
+    ``belongs`` (g,), ``distance`` (g,) and ``fitted`` are those of `balancing_groups`. Raises
+    TooManyOutliers if more rows are left out than accidents explain.
     """
     moments = screened.moments
     if belongs.all():
         return moments, ()
     problem, minimum = fitted
-    actuator = problem.standing_out(minimum.values, moments)
-    lost = rows_of(screened.sound, ~belongs, distance, actuator)
+    rho, s = problem.imbalance(minimum.values, moments)
+    worst = standing_out(rho, problem.a * minimum.values[: problem.n], s)
+    actuator = screened.campaign.layout.id[screened.campaign.layout.enabled][worst]
+    groups = zip(screened.sound.cycles, row_groups(screened.sound)[2], strict=True)
+    lost = tuple(
+        RejectedRow(k, int(row), int(actuator[g]), float(np.sqrt(distance[g])), "balance")
+        for k, (cycle, group) in enumerate(groups)
+        for row, g in zip(np.flatnonzero(cycle.valid), group, strict=True)
+        if not belongs[g]
+    )
     before = len(screened.rejected)
     refuse_too_many(before + len(lost), before + int(moments.rows.sum()))
-    return chosen_groups(moments, belongs), tuple(lost)
-
-
-def rows_of(
-    campaign: Campaign,
-    lost: NDArray[np.bool_],
-    distance: Array,
-    actuator: NDArray[np.int64],
-) -> list[RejectedRow]:
-    """Return the rows of the (g,) groups that are lost, with the ID that stands out in each."""
-    return [
-        RejectedRow(k, int(row), int(actuator[g]), float(np.sqrt(distance[g])), "balance")
-        for k, (cycle, group) in enumerate(
-            zip(campaign.cycles, row_groups(campaign)[2], strict=True)
-        )
-        for row, g in zip(np.flatnonzero(cycle.valid), group, strict=True)
-        if lost[g]
-    ]
+    return chosen_groups(moments, belongs), lost

@@ -27,7 +27,6 @@ from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.campaign_ml import estimate_of
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.estimate import (
-    Diagnosis,
     RejectedRow,
     Scale,
     ScaleError,
@@ -290,9 +289,7 @@ def _with_faults(
 
     Otherwise a rejected calibration could be used after a short run.
     """
-    diagnosis = calibration.diagnosis or Diagnosis()
     warnings = (
-        *diagnosis.warnings,
         *(Finding.of(Code.RECALIBRATION_LIMIT, limit=limit) for limit in limits),
         *(Finding.of(Code.EARLIER_FINDING, cause=each) for each in known.verdict.faults),
     )
@@ -305,7 +302,7 @@ def _with_faults(
                 remedy=known.verdict.faults[0].remedy,
             ),
         )
-    return replace(calibration, diagnosis=replace(diagnosis, warnings=warnings), effects=effects)
+    return replace(calibration.with_warnings(warnings), effects=effects)
 
 
 def _new(

@@ -20,7 +20,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.estimation.paper.equations import system_c, system_e
-from truenewton.estimation.paper.svd import solve_whatever_rank
+from truenewton.estimation.paper.svd import solve
 from truenewton.mirrors.known import Mirror
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
@@ -106,7 +106,7 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
                 ("C", system_c(c[0], a, mirror.weight, bias, *torques[:2]), truth[:n]),
                 ("E", system_e(Campaign(tuple(cycles)), a), truth),
             ):
-                solution = solve_whatever_rank(*equations)
+                solution = solve(*equations, any_rank=True)
                 error = np.abs(solution.solution - true).max() / np.abs(true).max()
                 proof = Proof(
                     seed, system, matrix, loaded, solution.rank, len(true),

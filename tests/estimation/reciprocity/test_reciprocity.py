@@ -370,7 +370,7 @@ def test_noise_of_a_condensed_stiffness_is_that_of_its_elements():
 
 
 def test_the_glass_goes_with_reciprocity_and_its_own_mirror_and_a_population_with_ml():
-    with pytest.raises(UnknownName, match="ml does not ask"):
+    with pytest.raises(UnknownName, match="ml does not use"):
         calibrate(p45_campaign(), "ml", motion=np.eye(45))
     with pytest.raises(CampaignMismatch, match="actuators of P45"):
         sensor_model(p45_bench().mirror, rings([0.06, 0.1], [5, 9]))
@@ -421,7 +421,7 @@ def test_with_the_glass_reciprocity_is_taken_where_it_holds_from_every_door(insi
     assert "Sensor gains" in text or "sensor gain" in text
     code, _, err = inside("info", *asked, "--method", "ml")
     assert code == 2
-    assert "ml does not ask what the sensors see" in err
+    assert "ml does not use what the sensors read" in err
 
 
 def test_ml_is_advised_only_where_it_was_not_taken(monkeypatch):

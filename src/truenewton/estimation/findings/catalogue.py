@@ -1,48 +1,39 @@
-"""The catalogue of findings: for each code what it is about, and how it reads.
+"""The catalogue of findings: for each code what it is about, its level, sentence and remedy.
 
-Everything that depends on a finding depends on its code. Sentences are made here alone, so that one
-can be reworded and nothing else changes.
+Decisions depend only on the code of a finding, so that a sentence can be changed freely.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from truenewton.estimation.findings.code import Code, Concern, Level
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What is the same for all findings of one code.
+    """What is the same for all findings of one code."""
 
-    Attributes
-    ----------
-    name
-        How it reads. The detail of a finding takes the place of '{}', or follows a colon.
-    concern
-        What it is about.
-    level
-        What it leaves of a result, unless it was corrected; None if its cause decides.
-    sentence
-        What is printed, with the values of a finding in braces (`finding.Words`); if empty, the
-        name with where it was found and how large it is.
-    remedy
-        What to do about it, in the same way.
-    cured
-        How it was taken out of the data, if it was.
-    """
-
-    name: str
-    concern: Concern = Concern.BENCH
+    name: str  # its name. The detail of a finding replaces '{}', or follows a colon
+    concern: Concern = Concern.BENCH  # what it is about
+    # Level of a result with it, unless it was corrected; None for the level of its cause.
     level: Level | None = Level.DOUBTFUL
+    # What is printed, with the values of a finding in braces (`finding.Words`); if empty, the
+    # name with where it was found and how large it is.
     sentence: str = ""
-    remedy: str = ""
-    cured: str = "corrected"
+    remedy: str = ""  # what to do about it, in the same way
+    cured: str = "corrected"  # how it was removed from the data
 
 
 def _fact(level: Level | None, sentence: str, remedy: str = "") -> Entry:
-    """Return the entry of what is not an effect of a bench."""
+    """Return the entry of a finding that is not an effect of a bench."""
     return Entry("", Concern.RESULT, level, sentence, remedy)
+
+
+_rejected, _doubtful, _usable = (
+    partial(_fact, level) for level in (Level.REJECTED, Level.DOUBTFUL, Level.USABLE)
+)
 
 
 def _of_input(name: str, remedy: str = "") -> Entry:
@@ -169,19 +160,16 @@ ENTRIES: dict[Code, Entry] = {
         "STIFFNESS symmetric and balanced as commanded: a true one, or alpha is gone (cleaned of"
         " rigid motions?)"
     ),
-    Code.WEAK_PATTERNS: _fact(
-        Level.USABLE,
+    Code.WEAK_PATTERNS: _usable(
         "poorly determined: {count:count pattern} of alpha; the weakest is {weakest}",
         "repeat more often, use larger forces, or add a stiffness matrix",
     ),
-    Code.CONSTRAINED_PATTERNS: _fact(
-        Level.USABLE,
+    Code.CONSTRAINED_PATTERNS: _usable(
         "not determined by the data: {count:count pattern} of alpha; alpha is assumed to be uniform"
         " along each, with an rms uncertainty of {error:percent}",
         "use E_ALPHA, and COVARIANCE for differences along other patterns",
     ),
-    Code.NO_LOAD_SEEN: _fact(
-        Level.REJECTED,
+    Code.NO_LOAD_SEEN: _rejected(
         "the forces are the same under all loads: no added weight is seen in them",
         "check that each load lay on the mirror in the files of its name, and the keywords ADDED,"
         " BIASGRAD and COILGRAD",
@@ -196,260 +184,213 @@ ENTRIES: dict[Code, Entry] = {
         "the {count} loads have the same weight, so the common scale is free",
         "check ADDED and TILT, or add a load that differs",
     ),
-    Code.SIMILAR_LOADS: _fact(
-        Level.USABLE,
+    Code.SIMILAR_LOADS: _usable(
         "the loads differ by no more than {difference:.2g} N of {largest:.3g} N, which alone fixes"
         " the common scale",
         "take a load that differs by a tenth of the mirror's weight; more shapes do not help",
     ),
-    Code.NO_OTHER_LOAD: _fact(
-        Level.REJECTED,
+    Code.NO_OTHER_LOAD: _rejected(
         "no load differs from another, so nothing fixes the common scale",
         "add cycles under a load of another known weight",
     ),
-    Code.ERROR_TOO_LARGE: _fact(
-        Level.REJECTED,
+    Code.ERROR_TOO_LARGE: _rejected(
         "the typical error of alpha from readings is {error:percent}: alpha cannot be distinguished"
         " from 0",
         "add shapes and cycles, use larger forces, or loads that differ more in weight",
     ),
-    Code.DATES_APART: _fact(
-        Level.USABLE,
+    Code.DATES_APART: _usable(
         "by DATE-OBS {days:.0f} days lie between {files:list} and the other files",
         "correct DATE-OBS, by which drifts are found; or calibrate what was taken together",
     ),
-    Code.TEMPERATURE_IMPLAUSIBLE: _fact(
-        Level.USABLE,
+    Code.TEMPERATURE_IMPLAUSIBLE: _usable(
         "the mean TEMPERATURE is {temperature:.3g} deg C",
         "check its unit: 68 is 20 deg C in Fahrenheit",
     ),
-    Code.WEIGHT_ABOVE_FORCES: _fact(
-        Level.DOUBTFUL,
+    Code.WEIGHT_ABOVE_FORCES: _doubtful(
         "WEIGHT is {weight:.3g} N, {each:.2g} N for each actuator, but no actuator exerted more"
         " than {largest:.2g} N: B comes to {bias:.3g} N",
         _CHECK_WEIGHT,
     ),
-    Code.WEIGHT_BELOW_BIAS: _fact(
-        Level.DOUBTFUL,
+    Code.WEIGHT_BELOW_BIAS: _doubtful(
         "WEIGHT is {weight:.3g} N, several times less than the bias magnets hold: B comes to"
         " {bias:.3g} N",
         _CHECK_WEIGHT,
     ),
-    Code.WEIGHTS_DISAGREE: _fact(
-        Level.DOUBTFUL,
+    Code.WEIGHTS_DISAGREE: _doubtful(
         "the weights of the {loads} loads disagree by {sigmas:.1f} sigma",
         "check ADDED, TILT and their errors",
     ),
-    Code.WEIGHTS_WITHOUT_ERRORS: _fact(
-        Level.USABLE,
+    Code.WEIGHTS_WITHOUT_ERRORS: _usable(
         "the weights are given without errors{which}: the common scale has no stated error, and 1 %"
         " in the added weight is 1 % in every alpha",
         "write the standard uncertainties of the weighing into the files (E_WEIGHT and E_ADDED in"
         " N, E_TILT in degrees)",
     ),
-    Code.SCALE_BY_WEIGHTS: _fact(
-        Level.USABLE,
+    Code.SCALE_BY_WEIGHTS: _usable(
         "the common scale is known to {error:percent}{share}",
         "better known weights would help, more cycles would not",
     ),
-    Code.ALPHA_FAR_FROM_ONE: _fact(
-        Level.REJECTED,
+    Code.ALPHA_FAR_FROM_ONE: _rejected(
         "alpha is about {alpha}, and would be near 1 if all values were in N. Possible causes:"
-        " {looks}",
+        " {looks}"
     ),
-    Code.NOISE_ABOVE_DECLARED: _fact(
-        Level.USABLE,
+    Code.NOISE_ABOVE_DECLARED: _usable(
         "repeated shapes scatter by {noise:.2g} mN, {ratio:.3g} times FORCERR",
         "look for what moves the mirror or the readings between repeats, and correct FORCERR",
     ),
-    Code.FORCE_STEPS: _fact(
-        Level.USABLE,
+    Code.FORCE_STEPS: _usable(
         "FORCE comes in steps of {step:.3g} mN, which is most of its noise: E_STAT includes"
         " {noise:.2g} mN, step / root 12",
         "record FORCE in finer steps, or means of several readings, if that is not good enough",
     ),
-    Code.ZEROS_RESET: _fact(
-        Level.USABLE,
+    Code.ZEROS_RESET: _usable(
         "the zeros of {sensors:count sensor} were reset between files: these count from each file's"
         " own mean, and E_STAT does not include motion between files",
         "keep the zeros of the sensors through a campaign",
     ),
-    Code.MISFIT: _fact(
-        Level.DOUBTFUL,
+    Code.MISFIT: _doubtful(
         "the model does not fit the data: E_STAT was multiplied by {factor:.2g} for it",
         "look for what differs between files: a drift, a label, contact with the glass"
         " (docs/effects.md)",
     ),
-    Code.MISFIT_EXPLAINED: _fact(
-        Level.DOUBTFUL,
+    Code.MISFIT_EXPLAINED: _doubtful(
         "the model fits the data only with the effects that were found: E_STAT includes how far"
         " alpha would move by them",
         "find out which of them is real (docs/effects.md)",
     ),
-    Code.MISFIT_OF_SVD: _fact(
-        Level.DOUBTFUL,
+    Code.MISFIT_OF_SVD: _doubtful(
         "the shapes are out of balance by {factor:.2g} times what their noise explains",
         "take method ml, which looks for effects of the bench",
     ),
-    Code.MISFIT_SENSELESS: _fact(
-        Level.REJECTED,
+    Code.MISFIT_SENSELESS: _rejected(
         "the remaining imbalance is {factor:.2g} times the noise",
         "look for copies among the files, and for a wrong LOAD, SHAPE, SIGN or order of FORCE",
     ),
-    Code.FIT_TOO_GOOD: _fact(
-        Level.DOUBTFUL,
+    Code.FIT_TOO_GOOD: _doubtful(
         "the shapes balance better than the scatter of their repeats predicts",
         "look for what differs between files: a label, a drift, zeros that move",
     ),
-    Code.ROWS_REJECTED: _fact(
-        Level.USABLE,
+    Code.ROWS_REJECTED: _usable(
         "{count:count row} did not fit and {was} left out{farthest}",
         "look at the residuals, and at an actuator that is named repeatedly",
     ),
-    Code.MANY_ROWS_REJECTED: _fact(
-        Level.DOUBTFUL,
-        "{share:percent} of the rows do not fit",
-        "find out what happened during the run",
+    Code.MANY_ROWS_REJECTED: _doubtful(
+        "{share:percent} of the rows do not fit", "find out what happened during the run"
     ),
-    Code.SVD_USES_ALL_ROWS: _fact(
-        Level.DOUBTFUL,
+    Code.SVD_USES_ALL_ROWS: _doubtful(
         "svd uses all rows, also {count:count row} that ml leaves out",
         "use ml, or mark as not VALID those that do not belong",
     ),
-    Code.SVD_BIAS: _fact(
-        Level.USABLE,
+    Code.SVD_BIAS: _usable(
         "svd is biased by {bias:percent} (rms over actuators, to first order), which its errors do"
         " not include",
         "use ml",
     ),
-    Code.SVD_BIAS_LARGE: _fact(
-        Level.DOUBTFUL,
+    Code.SVD_BIAS_LARGE: _doubtful(
         "svd is biased by {bias:percent} (rms over actuators, to first order), more than its stated"
         " errors",
         "use ml",
     ),
-    Code.MANY_SILENT: _fact(
-        Level.REJECTED,
+    Code.MANY_SILENT: _rejected(
         "{count} of {n} actuators are dead, or their readings stuck",
         "look at what drives and reads them; set ENABLED to F where there is no force",
     ),
-    Code.MANY_NEGATIVE: _fact(
-        Level.REJECTED,
+    Code.MANY_NEGATIVE: _rejected(
         "alpha is negative for {count} of {n} actuators",
         "check the signs and the order of FORCE: z points up",
     ),
-    Code.ALL_NEGATIVE: _fact(
-        Level.REJECTED,
+    Code.ALL_NEGATIVE: _rejected(
         "alpha is negative for all {n} actuators",
         "reverse the sign of FORCE, which is positive upwards; or correct ADDED, which may belong"
         " to the other load",
     ),
-    Code.ALPHA_ZERO: _fact(
-        Level.USABLE,
+    Code.ALPHA_ZERO: _usable(
         "{actuators:names actuator}: dead, alpha is {alpha}",
         "look at its coil and magnet; set ENABLED to F if it exerts no force",
     ),
-    Code.ALPHA_OUTLIER: _fact(
-        Level.USABLE,
+    Code.ALPHA_OUTLIER: _usable(
         "{actuators:names actuator}: outlier, alpha is {alpha}",
         "look at its coil, magnet and wiring",
     ),
-    Code.STIFFNESS_UNIT: _fact(
-        Level.USABLE,
+    Code.STIFFNESS_UNIT: _usable(
         "STIFFNESS looks like {unit}: {own:.2g} is typical of its diagonal, {usual:.0e} N/m of"
         " mirrors",
         "store it in N/m; relative alpha is the same, stiffness of modes is not",
     ),
-    Code.LOOKS_TRANSPOSED: _fact(
-        Level.DOUBTFUL,
+    Code.LOOKS_TRANSPOSED: _doubtful(
         "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
         " balance",
         "store [i, j], the force of actuator i per displacement of sensor j",
     ),
-    Code.COLUMN_NOISE_NOT_INDEPENDENT: _fact(
-        Level.USABLE,
+    Code.COLUMN_NOISE_NOT_INDEPENDENT: _usable(
         "the imbalance of the columns of STIFFNESS is not independent noise of their elements, so"
         " alpha is that of the elastic modes, each with the error that it shows",
         "expect larger errors along smooth patterns of alpha; cycles under known weights would"
         " constrain them",
     ),
-    Code.HALVES_INSUFFICIENT: _fact(
-        Level.DOUBTFUL,
-        "cross-validation is not possible, half of the modes do not constrain alpha: {fault}",
+    Code.HALVES_INSUFFICIENT: _doubtful(
+        "cross-validation is not possible, half of the modes do not constrain alpha: {fault}"
     ),
-    Code.HELD_OUT_IMBALANCE: _fact(
-        Level.DOUBTFUL,
+    Code.HELD_OUT_IMBALANCE: _doubtful(
         "held-out modes are unbalanced by up to {held_out:percent} of their force, fitted modes by"
         " {fitted:percent}",
         "expect larger errors along smooth patterns of alpha; cycles under known weights would"
         " constrain them",
     ),
-    Code.HARMFUL_ALPHA: _fact(
-        Level.REJECTED,
+    Code.HARMFUL_ALPHA: _rejected(
         "held-out modes balance worse with alpha ({after:percent} of their force) than with alpha ="
         " 1 ({before:percent})",
         "measure the stiffness with less noise, or calibrate with cycles under weights",
     ),
-    Code.MISFITS_KEPT: _fact(
-        Level.DOUBTFUL,
+    Code.MISFITS_KEPT: _doubtful(
         "{fault}; no actuator was left out",
         "{advice}, and gains and positions of the sensors; compare the balance of held-out modes",
     ),
-    Code.MANY_MISFITS: _fact(
-        Level.DOUBTFUL,
+    Code.MANY_MISFITS: _doubtful(
         "{count} of {n} actuators do not fit the others: {actuators:names actuator}",
         "look at coil, driver, cable, sensor and position of each, and measure again",
     ),
-    Code.OFF_BUT_PUSHING: _fact(
-        Level.DOUBTFUL,
+    Code.OFF_BUT_PUSHING: _doubtful(
         "{actuators:names actuator}: row or column of STIFFNESS is zero, but the columns around do"
         " not balance, as if the actuator had pushed",
         "measure the stiffness with it switched off",
     ),
-    Code.NEGATIVE_MODES: _fact(
-        Level.DOUBTFUL,
+    Code.NEGATIVE_MODES: _doubtful(
         "negative stiffness of {count:count elastic mode} of the matrix, down to {lowest:.3g} N/m",
         "check order, sign and completeness of the matrix, and measure again with less noise",
     ),
-    Code.NEGATIVE_MODES_IN_NOISE: _fact(
-        Level.USABLE,
+    Code.NEGATIVE_MODES_IN_NOISE: _usable(
         "negative stiffness of {count:count elastic mode} of the matrix, down to {lowest:.3g} N/m,"
         " no more than its noise makes",
         "measure again with less noise before you use soft modes",
     ),
-    Code.SYMMETRY_NOT_IMPROVED: _fact(
-        Level.DOUBTFUL,
+    Code.SYMMETRY_NOT_IMPROVED: _doubtful(
         "alpha does not make the matrix more symmetric: asymmetry {before:percent} before,"
         " {after:percent} after",
         "check positions and order of the sensors; compare with a second measurement",
     ),
-    Code.COHERENT_IMBALANCE: _fact(
-        Level.DOUBTFUL,
+    Code.COHERENT_IMBALANCE: _doubtful(
         "{share:percent} of the imbalance of the columns is not noise: it has the pattern of an"
         " error in {pattern}. If this error is fitted as well, alpha changes by {shift:percent}"
-        " rms, {ratio:.2g} times its error from noise. E_ALPHA includes this change",
+        " rms, {ratio:.2g} times its error from noise. E_ALPHA includes this change"
     ),
-    Code.COLUMNS_UNBALANCED: _fact(
-        Level.USABLE,
+    Code.COLUMNS_UNBALANCED: _usable(
         "the columns of {actuators:names actuator} of the matrix balance far worse than the others:"
         " an element in each may be wrong",
         "measure these columns again, or exclude the actuators (--exclude)",
     ),
-    Code.GAINS_HAVE_GRADIENT: _fact(
-        Level.DOUBTFUL,
+    Code.GAINS_HAVE_GRADIENT: _doubtful(
         "the sensor gains that symmetry implies have a gradient across the mirror ({sigmas:.2g}"
         " sigma), as if the positions were stretched to one side",
         "check X and Y of the actuators; a campaign with known weights would constrain it",
     ),
-    Code.GAINS_FOLLOW_ALPHA: _fact(
-        Level.DOUBTFUL,
+    Code.GAINS_FOLLOW_ALPHA: _doubtful(
         "the sensor gains that follow from the symmetry of the matrix are correlated with alpha"
         " ({correlation:+.2f}), as if {correlation:sign rigid motions had been partly removed from"
         " the matrix/the matrix had been averaged with its transpose}",
         "find out how the matrix was processed, and use it as it was measured",
     ),
-    Code.SEGMENTS_COUPLED: _fact(
-        Level.DOUBTFUL,
+    Code.SEGMENTS_COUPLED: _doubtful(
         "it is coupled to other segments by {size:.2g} N/m rms, where elements of its own are"
         " {own:.2g} N/m rms",
         "correct SEGMENT, or the order of STIFFNESS; what joins two bodies leaves neither a balance"
@@ -460,73 +401,59 @@ ENTRIES: dict[Code, Entry] = {
         "alpha is from the balance alone (ml), not from reciprocity: {cause}",
         "{advice}",
     ),
-    Code.RECIPROCITY_DOUBTFUL: _fact(
-        Level.DOUBTFUL, "reciprocity is doubtful: {cause}", "use ml; {advice}"
-    ),
-    Code.RECIPROCITY_EXCLUDED: _fact(
-        Level.USABLE,
+    Code.RECIPROCITY_DOUBTFUL: _doubtful("reciprocity is doubtful: {cause}", "use ml; {advice}"),
+    Code.RECIPROCITY_EXCLUDED: _usable(
         "reciprocity does not hold for {actuators:names actuator}: alpha there is that of ml",
         "look at their sensors, wiring and positions",
     ),
-    Code.RECIPROCITY_INFLATED: _fact(
-        Level.DOUBTFUL, "reciprocity fits badly: E_STAT was multiplied by {factor:.2g} for it"
+    Code.RECIPROCITY_INFLATED: _doubtful(
+        "reciprocity fits badly: E_STAT was multiplied by {factor:.2g} for it"
     ),
-    Code.BALANCE_CONTRADICTS_SYMMETRY: _fact(
-        Level.DOUBTFUL,
+    Code.BALANCE_CONTRADICTS_SYMMETRY: _doubtful(
         "balance and reciprocity contradict each other: the errors of reciprocity are"
         " {error:percent} typically, those of ml {of_balance:percent}",
         "find out how the matrix was processed, and give it as it was measured",
     ),
-    Code.EFFECT_PRESENT: _fact(Level.DOUBTFUL, "the data show {effect}", "correct that first"),
-    Code.ESTIMATE_FAILED: _fact(Level.DOUBTFUL, "{fault}"),
-    Code.INTERRUPTED: _fact(
-        Level.USABLE, "it was interrupted", "let it run to its end, or choose --method ml"
+    Code.EFFECT_PRESENT: _doubtful("the data show {effect}", "correct that first"),
+    Code.ESTIMATE_FAILED: _doubtful("{fault}"),
+    Code.INTERRUPTED: _usable("it was interrupted", "let it run to its end, or choose --method ml"),
+    Code.MISFIT_ACTUATORS: _doubtful(
+        "it does not hold for {count:count actuator} or more", _GIVE_MIRROR
     ),
-    Code.MISFIT_ACTUATORS: _fact(
-        Level.DOUBTFUL, "it does not hold for {count:count actuator} or more", _GIVE_MIRROR
-    ),
-    Code.TRANSPOSED: _fact(
-        Level.DOUBTFUL,
+    Code.TRANSPOSED: _doubtful(
         "STIFFNESS looks transposed, and then it takes alpha for sensor gains",
         "store [i, j], the force of actuator i per displacement of sensor j",
     ),
-    Code.SHARED_NOISE: _fact(
-        Level.DOUBTFUL,
+    Code.SHARED_NOISE: _doubtful(
         "the readings of many actuators have common noise, and it assumes independent noise",
         "look for what pushes the mirror",
     ),
-    Code.UNTESTED_SIZE: _fact(
-        Level.DOUBTFUL,
+    Code.UNTESTED_SIZE: _doubtful(
         "its errors were never compared with a truth of {count:count actuator}: noise in forces may"
         " make them too small",
         "compare two campaigns",
     ),
-    Code.EQUATIONS_MISFIT: _fact(
-        Level.DOUBTFUL, "its fit leaves {factor:.2g} times the noise of {block}", _GIVE_MIRROR
+    Code.EQUATIONS_MISFIT: _doubtful(
+        "its fit leaves {factor:.2g} times the noise of {block}", _GIVE_MIRROR
     ),
-    Code.HELD_OUT_WORSE: _fact(
-        Level.DOUBTFUL,
+    Code.HELD_OUT_WORSE: _doubtful(
         "reciprocity leaves held-out modes unbalanced by {held_out:percent} of their force, the"
         " balance alone by {by_balance:percent}",
         _GIVE_MIRROR,
     ),
-    Code.ESTIMATES_APART: _fact(
-        Level.DOUBTFUL,
+    Code.ESTIMATES_APART: _doubtful(
         "alpha by balance and alpha by reciprocity differ by {factor:.2g} times their errors",
         _GIVE_MIRROR,
     ),
-    Code.ERRORS_LARGER: _fact(
-        Level.DOUBTFUL,
+    Code.ERRORS_LARGER: _doubtful(
         "its typical error would be {error:percent}, that of ml is {of_balance:percent}",
         _GIVE_MIRROR,
     ),
-    Code.SENSORS_FAR: _fact(
-        Level.DOUBTFUL,
-        "the sensors would have to be {offset:.2g} mm off their magnets",
-        _GIVE_MIRROR,
+    Code.SENSORS_FAR: _doubtful(
+        "the sensors would have to be {offset:.2g} mm off their magnets", _GIVE_MIRROR
     ),
-    Code.PLANNED_WEAK_PATTERNS: _fact(
-        Level.USABLE, "{count:count pattern} of alpha hardly above the noise", _MORE_SIGNAL
+    Code.PLANNED_WEAK_PATTERNS: _usable(
+        "{count:count pattern} of alpha hardly above the noise", _MORE_SIGNAL
     ),
     Code.PLANNED_REFUSAL: _fact(
         Level.NONE,
@@ -534,16 +461,15 @@ ENTRIES: dict[Code, Entry] = {
         " refused",
         _MORE_SIGNAL,
     ),
-    Code.PLANNED_FORCE_TOO_LARGE: _fact(
-        Level.REJECTED,
+    Code.PLANNED_FORCE_TOO_LARGE: _rejected(
         "an actuator whose alpha is {alpha:g} would exert {force:.3g} N, more than its limit of"
         " {limit:g} N",
         "plan a smaller shapes.force",
     ),
     Code.EARLIER_FINDING: _fact(None, "the earlier calibration: {cause}", "{advice}"),
-    Code.RECALIBRATION_LIMIT: _fact(Level.USABLE, "{limit}"),
-    Code.LAW_OF_REJECTED_DAY: _fact(
-        Level.REJECTED, "it rests on {day}, whose calibration is rejected", "track the other days"
+    Code.RECALIBRATION_LIMIT: _usable("{limit}"),
+    Code.LAW_OF_REJECTED_DAY: _rejected(
+        "it rests on {day}, whose calibration is rejected", "track the other days"
     ),
     Code.OF_SEGMENTS: _fact(None, "{segments:numbers segment}: {cause}{as_of}", "{advice}"),
     Code.NO_ALPHA: _fact(Level.NONE, "{fault}"),
@@ -562,7 +488,7 @@ _EARLIER = {
 
 
 def read_name(name: str) -> tuple[Code, str]:
-    """Return the code and the detail of a name in a file that was written without codes."""
+    """Return the code and the detail of a name in a file without codes."""
     if name in _EARLIER:
         return _EARLIER[name]
     for plain, detail in ((name, ""), name.partition(": ")[::2]):
@@ -587,6 +513,6 @@ REPEATED = "the data show: "  # what table EFFECTS has, too
 
 
 def read_warning(text: str) -> Level:
-    """Return what a warning of a file that was written without codes leaves of a result."""
+    """Return the level of a warning in a file without codes."""
     found = (level for start, level in _EARLIER_WARNINGS.items() if text.startswith(start))
     return next(found, Level.USABLE)

@@ -1,4 +1,4 @@
-"""The codes of findings, what each is about, and the grades of a result."""
+"""The codes of findings, what each is about, and the levels of a result with their thresholds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Code(StrEnum):
-    """What was found; the value is written to files, and never changes.
+    """The kind of a finding; the value is written to files, and never changes.
 
     Examples
     --------
@@ -168,7 +168,7 @@ class Code(StrEnum):
 
 
 class Level(StrEnum):
-    """Whether the stated errors of a result are valid: the grades, ordered from the worst.
+    """Whether the stated errors of a result are valid, ordered from the worst.
 
     Examples
     --------
@@ -184,12 +184,12 @@ class Level(StrEnum):
 
     @classmethod
     def read(cls, word: str) -> Level:
-        """Return the level that a file names, also one of an earlier version."""
+        """Return the level that a file of this or an earlier version names."""
         return {"limited": cls.USABLE, "not to be used": cls.REJECTED}.get(word) or cls(word)
 
     @property
     def rank(self) -> int:
-        """Its place from the worst, 0."""
+        """Its index from the worst, 0."""
         return list(Level).index(self)
 
     def __lt__(self, other: str) -> bool:
@@ -206,27 +206,13 @@ class Level(StrEnum):
 
 
 class Concern(Enum):
-    """What a finding is about, and so what it means for the result.
-
-    Attributes
-    ----------
-    BENCH
-        The bench, beside the model.
-    FILES
-        Files that are not what they say: the user alone can settle them.
-    ROWS
-        Labels of rows: if the rest fits, the rows that disagreed were left out.
-    SILENT
-        An actuator that does not respond.
-    RESULT
-        The result itself: what the data constrain, how well they fit.
-    """
+    """What a finding is about, and so its consequence for the result."""
 
     BENCH = "bench"
-    FILES = "files"
-    ROWS = "rows"
-    SILENT = "silent"
-    RESULT = "result"
+    FILES = "files"  # files that are not what they claim: only the user can decide
+    ROWS = "rows"  # labels of rows: if the rest fits, the rows that disagreed were left out
+    SILENT = "silent"  # an actuator that does not respond
+    RESULT = "result"  # what the data determine, and how well they fit
 
 
 def _at(value: float, level: Level, quantity: str) -> Any:
@@ -236,7 +222,7 @@ def _at(value: float, level: Level, quantity: str) -> Any:
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Beyond which a result has a grade; `rows` tells what each is compared with."""
+    """Thresholds of the levels of a result (docs/verdict.md prints them)."""
 
     fit_probability: float = _at(
         1e-3, Level.DOUBTFUL, "probability of a misfit as large by chance, below"
@@ -293,7 +279,7 @@ LIMITS = Thresholds()
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
-    """Yield grade, quantity and value of each threshold, the worst grade first."""
+    """Yield level, quantity and value of each threshold, the worst level first."""
     for each in sorted(fields(LIMITS), key=lambda each: each.metadata["level"]):
         yield (
             str(each.metadata["level"]),

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
+from typing import Self
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from truenewton.statics.load import Load
 
 
 class NoiseSource(StrEnum):
-    """Where the noise of a reading is from."""
+    """Source of the noise of a reading."""
 
     REPEATS = "repeats"
     DECLARED = "FORCERR"
@@ -26,44 +27,29 @@ class NoiseSource(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """How well the data fix what was asked of them.
+    """How well the data determine alpha."""
 
-    Attributes
-    ----------
-    eigenvalues
-        Squared imbalance that the data leave in patterns of alpha, in terms of its noise where that
-        is known, ascending; the first belongs to alpha itself, and every pattern that the data hold
-        stands above it.
-    undetermined
-        Number of further patterns that the data cannot tell from noise.
-    faults
-        What is missing, each with its remedy; empty when alpha can be had.
-    warnings
-        What is weak.
-    weakest
-        The pattern of alpha that the data hold least, in words; its share of the variance E_STAT^2
-        summed over actuators follows.
-    weakest_share
-        That share.
-    leverage
-        (n,) share of each enabled actuator in the noise of the imbalance; they sum to 3. Where it
-        is small a fault of the actuator is hard to see.
-    span
-        Elastic directions in which the shapes stand above the noise; -1 where that was not asked.
-    """
-
+    # Squared imbalance of patterns of alpha, in units of its noise if that is known,
+    # ascending; the first belongs to alpha itself. Patterns that the data determine are well
+    # above it.
     eigenvalues: tuple[float, ...] = ()
-    undetermined: int = 0
+    undetermined: int = 0  # number of further patterns that cannot be distinguished from noise
+    # What is missing, each with its remedy; empty if alpha can be determined.
     faults: tuple[Fault | Finding, ...] = ()
-    warnings: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()  # what is weak
+    # Description of the least certain pattern of alpha; its share of the variance E_STAT^2
+    # summed over actuators.
     weakest: str = ""
     weakest_share: float = float("nan")
+    # (n,) share of each enabled actuator in the noise of the imbalance; they sum to 3. If it
+    # is small, a fault of the actuator is hard to see.
     leverage: tuple[float, ...] = ()
+    # Number of elastic directions in which the shapes exceed the noise; -1 if not computed.
     span: int = -1
 
     @property
     def separation(self) -> float:
-        """Ratio of the second singular value to the first: how clearly alpha stands apart."""
+        """Ratio of the second singular value to the first: how unique alpha is."""
         if len(self.eigenvalues) < 2:
             return float("nan")
         rounding = np.finfo(float).eps * self.eigenvalues[-1]
@@ -72,22 +58,13 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Goodness:
-    """How well the shapes balance, against what their noise lets expect.
+    """How well the shapes balance, compared with their noise."""
 
-    Attributes
-    ----------
-    chi2, degrees_of_freedom
-        Sum of squared imbalance in terms of its noise; equations less unknowns.
-    against
-        Where the noise comes from.
-    probability
-        Of a larger chi2 by chance; NaN against 'minimum'.
-    """
-
+    # Sum of squared imbalance in units of its noise; equations less unknowns.
     chi2: float
     degrees_of_freedom: int
-    against: NoiseSource
-    probability: float
+    against: NoiseSource  # source of the noise
+    probability: float  # of a larger chi2 by chance; NaN against 'minimum'
 
     @property
     def reduced(self) -> float:
@@ -96,7 +73,7 @@ class Goodness:
 
 
 class ErrorKind(Enum):
-    """What an error of the common scale comes from; in words, with the name of tool or load."""
+    """Sources of an error of the common scale, with the name of the tool or load."""
 
     READINGS = "noise of the readings"
     MIRROR = "weight of the mirror"
@@ -110,7 +87,7 @@ class ErrorKind(Enum):
 
 @dataclass(frozen=True)
 class ErrorSource:
-    """An independent source of error: its kind, and of which tool or load it is."""
+    """An independent source of error: its kind, and the tool or load."""
 
     kind: ErrorKind
     name: str = ""
@@ -120,21 +97,13 @@ class ErrorSource:
 
     @property
     def as_values(self) -> str:
-        """The same for a script."""
+        """The same in JSON."""
         return str(self)
 
 
 @dataclass(frozen=True)
 class ScaleError:
-    """What one source of error does to the common scale of alpha.
-
-    Attributes
-    ----------
-    source
-        Reads as words.
-    relative
-        Its part of the relative standard uncertainty of the common scale.
-    """
+    """Relative standard uncertainty of the common scale of alpha that is due to one source."""
 
     source: ErrorSource
     relative: float
@@ -142,142 +111,90 @@ class ScaleError:
 
 @dataclass(frozen=True)
 class UnseenError:
-    """What data could not show, and would do to the common scale of alpha; no part of any error.
+    """An effect that the data cannot show; it is not part of any error."""
 
-    Attributes
-    ----------
-    name
-        What may be, with its usual size, in words.
-    relative
-        How far it would move the common scale.
-    """
-
-    name: str
-    relative: float
+    name: str  # the assumed effect, with its usual size
+    relative: float  # relative change of the common scale by it
 
 
 @dataclass(frozen=True)
 class RejectedRow:
-    """A row that was left out.
+    """A row that was left out."""
 
-    Attributes
-    ----------
-    cycle, row
-        Place in the campaign's cycles; row of MEASUREMENTS, from 0.
-    actuator
-        ID of the actuator that stands out.
-    sigmas
-        How far, in standard deviations.
-    against
-        'repeats' of its shape, or 'balance'.
-    """
-
+    # Index in the campaign's cycles; row of MEASUREMENTS, from 0.
     cycle: int
     row: int
-    actuator: int
-    sigmas: float
-    against: str
+    actuator: int  # ID of the actuator with the largest deviation
+    sigmas: float  # deviation in standard deviations
+    against: str  # 'repeats' of its shape, or 'balance'
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor as the data show it.
+    """Gain and position of a sensor, estimated by reciprocity."""
 
-    Attributes
-    ----------
-    actuator
-        ID.
-    gain, gain_error
-        True displacement / reading, and its standard uncertainty.
-    x, x_error, y, y_error
-        Of its place: the actuator's less the sensor's [m].
-    state
-        'fitted'; 'free' where the fit leaves the actuator out, with its sensor.
-    """
-
-    actuator: int
+    actuator: int  # ID
+    # True displacement / reading, and its standard uncertainty.
     gain: float
     gain_error: float
+    # Position of the actuator less that of the sensor [m].
     x: float
     x_error: float
     y: float
     y_error: float
-    state: str
+    state: str  # 'fitted'; 'free' if the fit leaves the actuator and its sensor out
 
 
 class Scale(StrEnum):
-    """What fixes the common scale of alpha."""
+    """What determines the common scale of alpha."""
 
     WEIGHTS = "weights"
     GIVEN = "given"  # by an earlier calibration
-    MEAN_ONE = "mean 1"  # nothing does: alpha is relative
+    MEAN_ONE = "mean 1"  # it is not determined: alpha is relative
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """An estimate over the enabled actuators.
-
-    Attributes
-    ----------
-    method, scale
-        As they stand in the calibration file; what fixes the common scale.
-    values
-        (n + 1 + 2 L,) alpha, B, then M_y, M_x of each load; (n,) from a stiffness matrix alone.
-    reading_covariance, systematic_covariance
-        Their covariance from the readings and from the weights.
-    noise
-        Standard deviation of one reading [N]; NaN if unknown.
-    condition, rank
-        As in the calibration file.
-    solved_condition
-        Of the system as the method solves it, where that is another; else NaN.
-    diagnosis, goodness
-        How well alpha is determined, and how well the data fit it; None where it has no meaning.
-    declared_chi2
-        Against FORCERR; NaN where not every file gives it.
-    scale_errors
-        Budget of the common scale.
-    rejected
-        Rows left out.
-    effects
-        What the bench did beside the model, as far as the data show it.
-    unseen
-        What they cannot show, and what of its usual size would do to the common scale.
-    sensors
-        What reciprocity finds of them; empty by other methods.
-    """
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EstimateFacts:
+    """What a method states besides numbers of actuators; attributes as in `Calibration`."""
 
     method: str
-    scale: Scale
-    values: Array
-    reading_covariance: Array
-    systematic_covariance: Array
+    scale: str
     noise: float
     condition: float
     rank: int
-    diagnosis: Diagnosis
+    solved_condition: float = float("nan")
+    diagnosis: Diagnosis = Diagnosis()
     goodness: Goodness | None = None
-    declared_chi2: float = float("nan")
+    chi2: float = float("nan")
     scale_errors: tuple[ScaleError, ...] = ()
-    rejected: tuple[RejectedRow, ...] = ()
+    rejected_rows: tuple[RejectedRow, ...] = ()
     effects: tuple[Finding, ...] = ()
     unseen: tuple[UnseenError, ...] = ()
-    solved_condition: float = float("nan")
     sensors: tuple[Sensor, ...] = ()
 
+    def with_warnings(self, more: Iterable[Finding]) -> Self:
+        """Return the same with more warnings."""
+        warnings = (*self.diagnosis.warnings, *more)
+        return replace(self, diagnosis=replace(self.diagnosis, warnings=warnings))
 
-def with_warnings(estimate: Estimate, more: tuple[Finding, ...]) -> Estimate:
-    """Return an estimate with more of what is weak in it."""
-    diagnosis = estimate.diagnosis
-    return replace(estimate, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, *more)))
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Estimate(EstimateFacts):
+    """An estimate over the enabled actuators."""
+
+    # (n + 1 + 2 L,) alpha, B, then M_y, M_x of each load; (n,) from a stiffness matrix alone.
+    values: Array
+    # Their covariance from the readings and from the weights.
+    reading_covariance: Array
+    systematic_covariance: Array
+
+
+# -- the budget of the common scale ---------------------------------------------------------------
 
 FROM_READINGS = ErrorSource(ErrorKind.READINGS)
-MAGNET_COEFFICIENT = -1.1e-3  # [1/K] of NdFeB, the law of a mirror that nobody tracked [lit]
-# Sources of a relative error of the common scale below it are not listed.
-NEGLIGIBLE_SCALE_ERROR = 1e-5
-
-SAME_TEMPERATURE = 0.05  # [K] within which no load is warmer than another
+MAGNET_COEFFICIENT = -1.1e-3  # [1/K] of NdFeB, for a mirror that has not been tracked [lit]
+NEGLIGIBLE_SCALE_ERROR = 1e-5  # relative; a source of a smaller error is not listed
+SAME_TEMPERATURE = 0.05  # [K], difference of loads at the same temperature
 # For each independent source, (L,) change of W of each load by one standard uncertainty [N].
 WeightErrors = Mapping[ErrorSource, Array]
 
@@ -285,38 +202,32 @@ WeightErrors = Mapping[ErrorSource, Array]
 def weight_errors(campaign: Campaign) -> dict[ErrorSource, Array]:
     """Return (L,) changes [N] by each source of error of W = (P + Q) cos(tilt) (docs/files.md).
 
-    The error of P is common to all loads; loads with the same TOOL share one error of their added
-    weight, each in proportion to its own; every other error is independent.
+    The error of P is common to all loads. Loads with the same TOOL share one error of their added
+    weight, each in proportion to its own. Every other error is independent.
     """
     loads = campaign.loads
     cosine = np.cos(np.radians([load.tilt for load in loads]))
     sine = np.sin(np.radians([load.tilt for load in loads]))
     errors = defaultdict[ErrorSource, Array](lambda: np.zeros(len(loads)))
     errors[ErrorSource(ErrorKind.MIRROR)] = campaign.weight_error * cosine
-    for load_index, load in enumerate(loads):
+    for k, load in enumerate(loads):
         if load.added_error > 0:
-            errors[added_source(load)][load_index] = load.added_error * cosine[load_index]
-    for load_index, load in enumerate(loads):
+            errors[added_source(load)][k] = load.added_error * cosine[k]
+    for k, load in enumerate(loads):
         if load.tilt_error > 0:
-            by_angle = -(campaign.weight + load.added) * sine[load_index]
-            source = ErrorSource(ErrorKind.TILT, load.name)
-            errors[source][load_index] = by_angle * np.radians(load.tilt_error)
+            by_angle = -(campaign.weight + load.added) * sine[k]
+            by_tilt = by_angle * np.radians(load.tilt_error)
+            errors[ErrorSource(ErrorKind.TILT, load.name)][k] = by_tilt
     return {source: change for source, change in errors.items() if change.any()}
 
 
 def temperature_errors(campaign: Campaign, force: Array) -> dict[ErrorSource, Array]:
-    """Return (L,) changes of W [N] that stand for bias magnets warmer under one load than another.
+    """Return the (L,) change of W [N] equivalent to bias magnets that are warmer under some loads.
 
-    Their force B, of two magnets each, changes by twice `MAGNET_COEFFICIENT`, and no balance tells
-    that from a weight. B from the loads, all alpha alike: W + B + s F = 0, F the mean sum of
-    commanded forces.
-
-    Parameters
-    ----------
-    campaign
-        The cycles; nothing where one has no TEMPERATURE, or no load is warmer than another.
-    force
-        (L,) F [N].
+    Their force B, of two magnets each, changes by twice `MAGNET_COEFFICIENT`, which the balance
+    cannot distinguish from a weight. B is estimated from the loads and their (L,) mean sums of
+    commanded forces F [N]: W + B + s F = 0. Empty if a cycle has no TEMPERATURE, or all loads are
+    at the same temperature.
     """
     weights = campaign.effective_weights
     warmth = load_temperatures(campaign)
@@ -328,7 +239,7 @@ def temperature_errors(campaign: Campaign, force: Array) -> dict[ErrorSource, Ar
 
 
 def added_source(load: Load) -> ErrorSource:
-    """Return the source of the error of an added weight: its tool, or the load if none is named."""
+    """Return the source of the error of an added weight: its tool, or the load if it has none."""
     if load.tool:
         return ErrorSource(ErrorKind.TOOL, load.tool)
     return ErrorSource(ErrorKind.ADDED, load.name)
@@ -337,16 +248,10 @@ def added_source(load: Load) -> ErrorSource:
 def scale_errors(
     alpha: Array, reading_covariance: Array, changes: Array, sources: Iterable[ErrorSource]
 ) -> tuple[ScaleError, ...]:
-    """Return what each source does to the common scale of alpha, largest first.
+    """Return the error of the common scale by each source, largest first.
 
-    Parameters
-    ----------
-    alpha, reading_covariance
-        (n,) and its (n, n) covariance from the readings.
-    changes
-        (sources, n) change of alpha by one standard uncertainty of each source.
-    sources
-        Of the errors of the weights.
+    From (n,) alpha, its (n, n) covariance from the readings, and the (sources, n) change of alpha
+    by one standard uncertainty of each source.
     """
     direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
     lines = [scale_error_from_readings(alpha, reading_covariance)]
@@ -364,14 +269,14 @@ def scale_error_from_readings(alpha: Array, reading_covariance: Array) -> ScaleE
 
 
 def scale_budget(lines: Iterable[ScaleError]) -> dict[str, float]:
-    """Return the relative errors of the common scale that are worth telling, by their source."""
+    """Return the relative errors of the common scale that are not negligible, by their source."""
     return {
         str(line.source): line.relative for line in lines if line.relative > NEGLIGIBLE_SCALE_ERROR
     }
 
 
 def typical(error: Array, alpha: Array) -> float:
-    """Return the median over actuators of an (n,) error relative to alpha; NaN where disabled."""
+    """Return the median over actuators of an (n,) error relative to alpha, without NaN."""
     return float(np.nanmedian(error / np.abs(alpha)))
 
 
@@ -381,7 +286,7 @@ def scale_total(lines: tuple[ScaleError, ...]) -> float:
 
 
 def tilt_as_load(weight: float, weight_error: float, tilt: float, tilt_error: float) -> float:
-    """Return the relative error of the scale if the mirror's own tilt were the second load.
+    """Return the relative error of the scale if a tilt of the mirror were the second load.
 
     The change of weight is P (1 - cos tilt); P in N, the tilt in degrees.
     """

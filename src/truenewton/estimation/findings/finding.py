@@ -1,4 +1,4 @@
-"""One finding: what a bench, a file, an actuator or a fit did beside the model; and the verdict."""
+"""One finding about a bench, a file, an actuator or a fit; and the verdict on all findings."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from typing import Any
 from truenewton.errors import Fault
 from truenewton.estimation.findings.catalogue import ENTRIES, Entry
 from truenewton.estimation.findings.code import Code, Concern, Level
+from truenewton.files.format import attributes
 from truenewton.rounding import counted, listed, named, numbered, percent
 from truenewton.statics.layout import Layout
 
-OF_EFFECTS = ("name", "detail", "where", "probability", "size", "unit", "corrected")
 MAX_NAMES = 10  # of actuators or files in a sentence
 MAX_NAMED_ACTUATORS = 4  # that are named one by one in the place of a finding
 
 
 class Words(string.Formatter):
-    """Formats the values of a finding: numbers as Python does, and some formats more.
+    """Formats the values of a finding: the formats of Python, and some more.
 
     'percent', 'count NOUN' (1 row, 2 rows), 'names NOUN' (actuators 3, 5 and 2 more), 'numbers
-    NOUN' (segments 1 to 3), 'list', 'sign A/B' (A if positive, else B).
+    NOUN' (segments 1 to 3), 'list', 'sign A/B' (A if positive, otherwise B).
     """
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Return a value as its format says."""
+        """Return a value in its format."""
         kind, _, noun = format_spec.partition(" ")
         if kind == "percent":
             return percent(value)
@@ -46,22 +46,22 @@ class Words(string.Formatter):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What was found in data or a result beside the model (docs/effects.md, docs/verdict.md).
+    """One finding in data or a result (docs/effects.md, docs/verdict.md).
 
-    What only the user can decide has no probability, and is never corrected.
+    A finding that only the user can decide has no probability, and is never corrected.
 
     Attributes
     ----------
     code
-        What it is; what follows from it stands in `catalogue.ENTRIES`.
+        Its kind, an entry of `catalogue.ENTRIES`.
     values
         Numbers and names that its sentence contains.
     cause
-        The finding that it is about, if it is about one.
+        The finding that it is about, if there is one.
     detail
         What its name leaves open: which column, which reason.
     where
-        In which file, of which actuator or load it is largest, '' if that says nothing.
+        The file, actuator or load in which it is largest; '' if that has no meaning.
     actuators
         IDs of those that it is about, if it is about single ones.
     probability
@@ -69,11 +69,11 @@ class Finding:
     size, unit
         Of its largest parameter.
     corrected
-        Whether it was taken out of the data.
+        Whether its effect on the data was removed.
     graded
-        Its level, if other than that of the catalogue.
+        Its level, if not that of the catalogue.
     remedy
-        What to do about it; that of the catalogue unless given.
+        What to do about it; by default that of the catalogue.
 
     Examples
     --------
@@ -109,7 +109,7 @@ class Finding:
         remedy: str = "",
         **values: Any,
     ) -> Finding:
-        """Return a finding with the values that its sentence contains, as Python's own numbers."""
+        """Return a finding with the values of its sentence, as Python's own numbers."""
         own = {name: _own(value) for name, value in values.items()}
         ids = tuple(int(i) for i in actuators)
         return cls(code=code, values=own, actuators=ids, cause=cause, remedy=remedy)
@@ -126,7 +126,7 @@ class Finding:
 
     @property
     def name(self) -> str:
-        """How it reads, without where it is."""
+        """Its name, without where it is."""
         name = self._entry.name
         if not name:
             return self.fault
@@ -161,7 +161,7 @@ class Finding:
 
     @property
     def level(self) -> Level:
-        """What it leaves of a result."""
+        """What remains of a result with it."""
         if self.graded is not None:
             return self.graded
         if self._entry.level is None:
@@ -169,23 +169,18 @@ class Finding:
         return max(self._entry.level, Level.USABLE) if self.corrected else self._entry.level
 
     @property
-    def grade(self) -> str:
-        """Its level as a word."""
-        return str(self.level)
-
-    @property
     def concern(self) -> Concern:
-        """What it is about, and so what it means for the result."""
+        """What it is about."""
         return self._entry.concern
 
     @property
     def ids(self) -> str:
-        """The actuators as a file has them."""
+        """The actuators as in a file."""
         return " ".join(map(str, self.actuators))
 
     @property
     def as_values(self) -> dict[str, Any]:
-        """The same for a script."""
+        """The finding in JSON."""
         return {
             "code": str(self.code),
             "level": str(self.level),
@@ -193,12 +188,13 @@ class Finding:
             "remedy": self.remedy,
             "actuators": list(self.actuators),
             "values": dict(self.values),
-            **{name: getattr(self, name) for name in OF_EFFECTS},
+            **attributes(self, "name", "detail", "where", "probability", "size", "unit"),
+            "corrected": self.corrected,
         }
 
     @property
     def stored(self) -> str:
-        """Its values, actuators and cause as JSON, as table WARNINGS has them."""
+        """Its values, actuators and cause as JSON, as in table WARNINGS."""
         parts = {"values": dict(self.values), "actuators": list(self.actuators)}
         if self.cause is not None:
             cause = {"code": str(self.cause.code), "remedy": self.cause.remedy}
@@ -209,18 +205,10 @@ class Finding:
 def about_actuators(
     layout: Layout, code: Code, which: Any, where: str = "{}", *, many: str = "", **values: Any
 ) -> Finding:
-    """Return a finding about some actuators, whose names take the place of '{}' in ``where``.
+    """Return a finding about some actuators, whose names replace '{}' in ``where``.
 
-    Parameters
-    ----------
-    layout, code
-        All actuators; what was found.
-    which
-        Indices among the enabled ones, or a mask of these.
-    many
-        How actuators are counted that are too many to be named, as 'columns'.
-    values
-        Other attributes of the finding.
+    ``which`` are indices among the enabled ones, or a mask of these; ``many`` is the noun for too
+    many to be named, such as 'columns'.
     """
     enabled = layout.id[layout.enabled]
     ids = enabled[which].tolist()
@@ -232,12 +220,10 @@ def about_actuators(
 
 
 def from_stored(code: str, remedy: str, parts: Mapping[str, Any]) -> Finding:
-    """Return a finding from its code, remedy, and what `Finding.stored` has of it.
+    """Return a finding from its code, remedy and `Finding.stored`.
 
-    Raises
-    ------
-    KeyError, ValueError, TypeError, AttributeError
-        It is not of this version, or damaged.
+    Raises KeyError, ValueError, TypeError or AttributeError if it is of another version, or
+    damaged.
     """
     cause = parts.get("cause")
     finding = Finding(
@@ -252,7 +238,7 @@ def from_stored(code: str, remedy: str, parts: Mapping[str, Any]) -> Finding:
 
 
 def distinct(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings in their order, each once: with the level of the first."""
+    """Return each finding once, in their order, with the level of the first."""
     kept: list[Finding] = []
     for each in findings:
         if not any(replace(each, graded=one.graded) == one for one in kept):
@@ -269,14 +255,14 @@ def _own(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether the stated errors of a result hold.
+    """Whether the stated errors of a result are valid.
 
     Attributes
     ----------
     level
         'sound', 'usable', 'doubtful', 'rejected'; 'no alpha' of data that give none.
     findings
-        What was found, the worst first; those of level 'sound' are notes and limit nothing.
+        All findings, the worst first; those of level 'sound' are notes.
 
     Examples
     --------
@@ -301,17 +287,17 @@ class Verdict:
 
     @property
     def notes(self) -> tuple[Finding, ...]:
-        """What is worth knowing and limits nothing: why a better method was not used."""
+        """Notes that limit nothing, such as why another method was not used."""
         return tuple(each for each in self.findings if each.level is Level.SOUND)
 
     @property
     def as_values(self) -> dict[str, Any]:
-        """The same for a script."""
+        """The verdict in JSON."""
         return {"level": str(self.level), "findings": self.findings}
 
 
 def judged(findings: Collection[Finding]) -> Verdict:
-    """Return the verdict on findings: its level is that of the worst, which stands first."""
+    """Return the verdict on findings: its level is that of the worst, which is first."""
     ordered = sorted(distinct(findings), key=lambda each: each.level)
     return Verdict(min((each.level for each in ordered), default=Level.SOUND), tuple(ordered))
 

@@ -1,18 +1,14 @@
 """The paper's equations: unknowns, systems C, D and E, and the imbalance of a reading.
 
-The linear systems of the paper (section 3): C alpha = p, D alpha = q and E alpha' = r.
+With f = alpha c (eq. 2) in the balance (eq. 1), C alpha = p (eq. 3) balances the bare mirror if B
+and its torques are known, D alpha = q the mirror with the added weight Q (section 3). E alpha' = r
+(eq. 4) combines both, or any number of loads, with B and all torques unknown. Forces have one row
+per shape and one column per actuator; each block of N equations balances the weight force, the
+moments of x and the moments of y, in this order, as in the paper.
 
-With f = alpha c (eq. 2) put into the balance (eq. 1), C alpha = p (eq. 3) balances the bare mirror
-where B and its torques are known, D alpha = q the mirror with the added weight Q; E alpha' = r
-(eq. 4) puts both together, or any number of loads, B and all torques among the unknowns.
-
-Forces have one row per shape and one column per actuator; each block of N equations balances the
-weight force, the moments of x and the moments of y, in this order, as the paper writes them.
-
-The imbalance rho = A diag(alpha) c + k of readings c, in terms of its noise.
-
-What noise of covariance Sigma in the readings makes of it is S = A diag(alpha) Sigma diag(alpha) A'
-(docs/likelihood.md). Its three numbers are in N, N m and N m; A diag(alpha) are the scaled arms.
+The imbalance of readings c is rho = A diag(alpha) c + k in N, N m and N m. Noise of covariance
+Sigma in the readings makes its covariance S = A diag(alpha) Sigma diag(alpha) A'
+(docs/likelihood.md). A diag(alpha) are the scaled arms.
 """
 
 from __future__ import annotations
@@ -32,19 +28,12 @@ from truenewton.statics.load import Load
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Where every unknown stands: of E alpha' = r (paper, eq. 4), of the likelihood, of results.
+    """Where each unknown is: of E alpha' = r (paper, eq. 4), of the likelihood, of results."""
 
-    Attributes
-    ----------
-    actuators, loads
-        n, those that are enabled; L.
-    weight_errors
-        How many errors of the weights are unknowns as well; none in E.
-    """
-
+    # n, those that are enabled; L.
     actuators: int
     loads: int
-    weight_errors: int = 0
+    weight_errors: int = 0  # how many errors of the weights are unknowns as well; none in E
 
     @property
     def alpha(self) -> slice:
@@ -73,16 +62,14 @@ class Unknowns:
 
     @property
     def total(self) -> int:
-        """Number of all."""
+        """Number of all, with the errors of the weights."""
         return self.count + self.weight_errors
 
     def external_load_derivative(self, weight_changes: Sequence[Array] = ()) -> Array:
-        """Return (L, 3, total - n): k of each load (eq. 1) by the unknowns beside alpha.
+        """Return (L, 3, total - n) derivative of k of each load (eq. 1) by what is beside alpha.
 
-        Parameters
-        ----------
-        weight_changes
-            For each error of the weights, (L,) change of W by its standard uncertainty [N].
+        ``weight_changes``: for each error of the weights, (L,) change of W by its standard
+        uncertainty.
         """
         derivative = np.zeros((self.loads, 3, self.total - self.actuators))
         by_bias, *by_torques = external_load(0.0, *np.eye(3))
@@ -104,23 +91,9 @@ def balance_rows(force: Array, a: Array) -> Array:
 def system_c(
     force: Array, a: Array, weight: float, bias_force: float, torque_y: float, torque_x: float
 ) -> tuple[Array, Array]:
-    """Return C and p of the paper's eq. 3: the balance under one load with B and torques known.
+    """Return C (3 N, n) and p (3 N,) of the paper's eq. 3, with C alpha = p, B and torques known.
 
-    Parameters
-    ----------
-    force
-        (N, n) commanded forces c [N].
-    a
-        (3, n) arms.
-    weight
-        P [N].
-    bias_force, torque_y, torque_x
-        B [N], M_y and M_x [N m].
-
-    Returns
-    -------
-    C, p
-        (3 N, n) and (3 N,), with C alpha = p.
+    From (N, n) commanded forces c [N], (3, n) arms, P and B [N], M_y and M_x [N m].
     """
     p = np.repeat(external_load(weight, bias_force, torque_y, torque_x), len(force))
     return -balance_rows(force, a), p
@@ -135,42 +108,20 @@ def system_d(
     torque_y: float,
     torque_x: float,
 ) -> tuple[Array, Array]:
-    """Return D and q of the paper's section 3: as C and p, P + Q weighing instead of P.
+    """Return D (3 N, n) and q (3 N,) of the paper's section 3: C and p with the weight of a load.
 
-    Parameters
-    ----------
-    force, a, weight, bias_force
-        As for `system_c`; forces are the paper's d.
-    load
-        Gives Q and the tilt: W = (P + Q) cos(tilt).
-    torque_y, torque_x
-        Under this load, the paper's N_y and N_x [N m].
-
-    Returns
-    -------
-    D, q
-        (3 N, n) and (3 N,), with D alpha = q.
+    W = (P + Q) cos(tilt); the torques are those under this load, the paper's N_y and N_x [N m].
     """
     total = float(effective_weight(weight, load.added, load.tilt))
     return system_c(force, a, total, bias_force, torque_y, torque_x)
 
 
 def system_e(campaign: Campaign, a: Array) -> tuple[Array, Array]:
-    """Return E and r of the paper's eq. 4, for any number of loads.
+    """Return E (3 N, n + 1 + 2 L) and r (3 N,) of the paper's eq. 4, for any number of loads.
 
-    Parameters
-    ----------
-    campaign
-        Cycles under L loads; rows that are not valid and disabled actuators are left out.
-    a
-        (3, n) arms of the enabled actuators; torques come out in N times the unit of length.
-
-    Returns
-    -------
-    E, r
-        (3 N, n + 1 + 2 L) and (3 N,), N over all loads. The unknowns are alpha, B, and M_y, M_x of
-        each load (`Unknowns`). Loads follow each other; in each, the shapes of its cycles
-        follow each other in every block.
+    From valid rows and the (3, n) arms of the enabled actuators; torques are in N times the unit of
+    length of these. The unknowns are alpha, B, and M_y, M_x of each load (`Unknowns`). Loads follow
+    each other; in each, the shapes of its cycles follow each other in every block.
     """
     unknowns = Unknowns(a.shape[1], len(campaign.loads))
     matrices, right_sides = [], []
@@ -203,7 +154,7 @@ def squared_distances(rho: Array, weight: Array, s: Array) -> Array:
 
 
 def standing_out(rho: Array, scaled_arms: Array, s: Array) -> NDArray[np.int64]:
-    """Return (g,) whose reading, of the n actuators, would best explain each imbalance alone."""
+    """Return (g,) which of the n readings best explains each imbalance alone."""
     weighed = np.linalg.solve(s, scaled_arms)
     pull = (rho @ weighed) ** 2 / np.einsum("kn,kn->n", scaled_arms, weighed)
     return np.asarray(pull.argmax(axis=1))

@@ -1,15 +1,15 @@
-"""What the data can and cannot fix, judged against noise; and what to do about it.
+"""What the data can and cannot determine, judged against noise; and what to do about it.
 
-Noise fills null spaces, so the rank of E says nothing. Instead, with noise Sigma in the readings
-and the arms made orthonormal, U = (A Sigma A')^-1/2 A, alpha is the pattern v for which the centred
-forces are in balance:
+Noise fills null spaces, so the rank of E has no meaning. Instead, with noise Sigma in the readings
+and orthonormal arms U = (A Sigma A')^-1/2 A, alpha is the pattern v for which the centred forces
+are in balance:
 
     v' G v / v' D v = least,    G = sum over shapes (c - c_mean)(c - c_mean)' o (U' U),
                                 D = number of shapes * Sigma o (U' U)           (o: elementwise)
 
-The eigenvalues of G in terms of D are about 1 in every pattern that the data leave free, and stand
-above it in every pattern that they hold. The least belongs to alpha itself; every further one that
-does not stand apart from it is a direction that only noise decides (docs/method.md).
+The eigenvalues of G in units of D are about 1 in every pattern that the data leave free, and larger
+in every pattern that they determine. The least belongs to alpha itself; every further one that is
+not well above it is a direction that only noise decides (docs/method.md).
 """
 
 from __future__ import annotations
@@ -31,31 +31,24 @@ from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
 
-MAX_UNSEEN_LOAD = 0.1  # of what loads differ by, that commanded forces do
+MAX_UNSEEN_LOAD = 0.1  # difference of the forces relative to that of the loads
+SIMILAR_LOADS_FRACTION = 0.01  # of the weight: loads that differ by less fix no scale to that
+MIN_REPEATS = 30  # for a noise of each actuator: known to 13 %
 NO_LOAD_SEEN = Finding.of(Code.NO_LOAD_SEEN)
 
 
 def balance_spectrum(force: Array, a: Array, variance: Array) -> Array:
-    """Return (n,) ascending eigenvalues of G in terms of D.
+    """Return (n,) ascending eigenvalues of G in units of D.
 
-    Parameters
-    ----------
-    force
-        (shapes, n) commanded forces, centred on their load's mean, times the root of their weight.
-    a
-        (3, n) arms.
-    variance
-        (n,) of one reading, or ones where unknown.
+    From (shapes, n) commanded forces, centred on the mean of their load, times the root of their
+    weight; (3, n) arms; and the (n,) variance of one reading, or ones.
     """
     scaled, _ = _in_terms_of_noise(force, a, variance)
     return np.asarray(np.maximum(scipy.linalg.eigvalsh(scaled), 0.0))
 
 
 def balance_patterns(force: Array, a: Array, variance: Array, count: int) -> tuple[Array, Array]:
-    """Return the (count,) least eigenvalues of G in terms of D, and their (n, count) patterns.
-
-    Parameters as in `balance_spectrum`.
-    """
+    """Return the (count,) least eigenvalues of G in units of D, and their (n, count) patterns."""
     scaled, root = _in_terms_of_noise(force, a, variance)
     values, vectors = scipy.linalg.eigh(scaled, subset_by_index=(0, count - 1))
     return values, vectors / root[:, None]
@@ -69,13 +62,12 @@ def _in_terms_of_noise(force: Array, a: Array, variance: Array) -> tuple[Array, 
 
 
 def free_patterns(eigenvalues: Array, shapes: int, *, known: bool = False) -> int:
-    """Count the patterns beside alpha that cannot be told from noise, by (n,) eigenvalues.
+    """Count the patterns beside alpha that cannot be distinguished from noise, by (n,) eigenvalues.
 
-    Noise is 1 where it is ``known``, and what alpha itself has where not; that of a mirror whose
-    own motion balances is less than 1 in alpha alone.
-
-    Pure noise in 3 N equations spreads the eigenvalues over (1 +- root(n / 3 N))^2 (Marchenko and
-    Pastur); what lies within that spread above the least one is noise.
+    Noise is 1 if it is ``known``, otherwise that of alpha itself; if the mirror's own motion
+    balances, it is less than 1 in alpha alone. Pure noise in 3 N equations spreads the eigenvalues
+    over (1 +- root(n / 3 N))^2 (Marchenko and Pastur); those within that spread above the least are
+    noise.
     """
     spread = np.sqrt(min(len(eigenvalues) / (3 * max(shapes, 1)), 0.49))
     factor = max(2.0, ((1 + spread) / (1 - spread)) ** 2)
@@ -84,12 +76,8 @@ def free_patterns(eigenvalues: Array, shapes: int, *, known: bool = False) -> in
     return int(np.count_nonzero(eigenvalues[1:] <= factor * noise))
 
 
-SIMILAR_LOADS_FRACTION = 0.01  # of the weight: loads that differ by less fix no scale to that
-MIN_REPEATS = 30  # for a noise of each actuator: known to 13 %
-
-
 def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
-    """Judge whether a campaign fixes alpha, B and the torques, and name what is missing."""
+    """Judge whether a campaign determines alpha, B and the torques, and name what is missing."""
     a = enabled_arms(campaign.layout)
     faults = structural_faults(campaign, moments)
     n, distinct = a.shape[1], _distinct_shapes(moments)
@@ -105,7 +93,11 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
     centred /= np.sqrt(variance)  # in place: it is as large as all means
     span = _span(centred, float(np.sqrt(eigenvalues[: free + 1].mean())))
     if free:
-        faults += (_undetermined_fault(span, free, n),)
+        fault = (
+            f"the shapes stand above the noise in {span} of the {n - 3} elastic directions, too few"
+            f" or dependent: {free} pattern{'s' if free > 1 else ''} of alpha left to noise"
+        )
+        faults += (Fault(fault, f"apply {n} independent shapes, larger or more often"),)
     return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span)
 
 
@@ -123,7 +115,7 @@ def structural_faults(campaign: Campaign, moments: Moments) -> tuple[Fault | Fin
 
 
 def gap_fault(campaign: Campaign, moments: Moments) -> Fault | None:
-    """Judge positions by the gap, where it is given: no mirror moves farther than that."""
+    """Return that positions exceed the gap, if it is given."""
     gaps = [cycle.gap for cycle in campaign.cycles if cycle.gap]
     if moments.displacement is None or not gaps:
         return None
@@ -146,9 +138,9 @@ def _distinct_shapes(moments: Moments) -> int:
 
 
 def centred_means(moments: Moments) -> Array:
-    """Return pooled rows or means of repeats, centred for each load, at weight 1 (root of theirs).
+    """Return pooled rows or means of repeats, centred for each load, times root weight.
 
-    What is common to a load (weight, bias, torques) drops out, as do its unknown B, M_y and M_x.
+    This removes what is common to a load: weight, bias and torques, and its unknown B, M_y and M_x.
     """
     if moments.pooled:
         rows, share = map(moments.pooling.rows, (moments.mean, moments.of_load))
@@ -166,10 +158,10 @@ def centred_means(moments: Moments) -> Array:
 
 
 def _span(centred: Array, noise: float) -> int:
-    """Return how many elastic directions of force stand above what noise alone would reach.
+    """Return how many elastic directions of force exceed what noise alone would reach.
 
-    The largest singular value of N rows of n noisy readings is s (root N + root n). What
-    ``centred`` holds is lost.
+    The largest singular value of N rows of n noisy readings is s (root N + root n). ``centred`` is
+    overwritten.
     """
     values = scipy.linalg.svdvals(centred.T, overwrite_a=True, check_finite=False)
     edge = noise * np.sum(np.sqrt(centred.shape))
@@ -178,7 +170,7 @@ def _span(centred: Array, noise: float) -> int:
 
 
 def geometry_fault(a: Array) -> Fault | None:
-    """Name what no shape could mend in (3, n) arms: too few, or all on one line or conic."""
+    """Name faults of (3, n) arms: too few, or all on one line or conic."""
     n = a.shape[1]
     if n < 4:
         return Fault(
@@ -202,7 +194,7 @@ def geometry_fault(a: Array) -> Fault | None:
 
 
 def _all_on_a_conic(q: Array) -> bool:
-    """Tell whether F + 1 1' is singular, for (n, 3) orthonormal Q.
+    """Return whether F + 1 1' is singular, for (n, 3) orthonormal Q.
 
     F = diag(share) - (Q Q') o (Q Q') differs from a diagonal by the products of two columns of Q,
     rank 6, so signs of eigenvalues can be counted in 7 dimensions (Haynsworth): K below has one
@@ -219,7 +211,7 @@ def _all_on_a_conic(q: Array) -> bool:
 
 
 def load_fault(campaign: Campaign) -> Finding | None:
-    """Judge the weights themselves: with noise, equal weights leave no trace in the rank."""
+    """Judge the weights themselves: with noise, equal weights do not show in the rank."""
     weights = campaign.effective_weights
     if len(weights) == 1:
         return Finding.of(Code.ONE_LOAD, load=campaign.loads[0].name)
@@ -236,7 +228,7 @@ def unseen_load(nz: Array, weights: Array, moments: Moments) -> Finding | None:
 
 
 def similar_loads(weights: Array) -> Finding | None:
-    """Judge (L,) weights that differ, but hardly: noise of the readings then tells the scale."""
+    """Return that (L,) weights hardly differ: then the noise of the readings limits the scale."""
     largest = np.abs(weights).max(initial=0.0)
     apart = float(np.ptp(weights)) if weights.size else 0.0
     if not 0.0 < apart < SIMILAR_LOADS_FRACTION * largest:
@@ -244,17 +236,8 @@ def similar_loads(weights: Array) -> Finding | None:
     return Finding.of(Code.SIMILAR_LOADS, difference=apart, largest=largest)
 
 
-def _undetermined_fault(span: int, free: int, n: int) -> Fault:
-    """Say how many patterns the noise decides, and in how many directions shapes stand above it."""
-    return Fault(
-        f"the shapes stand above the noise in {span} of the {n - 3} elastic directions, too few"
-        f" or dependent: {free} pattern{'s' if free > 1 else ''} of alpha left to noise",
-        f"apply {n} independent shapes, larger or more often",
-    )
-
-
 def refuse(faults: Iterable[Fault | Finding | None], undetermined: int = 0) -> None:
-    """Raise RankDeficient with the first fault, where there is one."""
+    """Raise RankDeficient with the first fault, if there is one."""
     for fault in faults:
         if fault is not None:
             raise RankDeficient(fault.fault, remedy=fault.remedy, got=undetermined, want=0)
@@ -263,12 +246,7 @@ def refuse(faults: Iterable[Fault | Finding | None], undetermined: int = 0) -> N
 def leverage(scaled_arms: Array, variance: Array) -> Array:
     """Return (n,) the share of each actuator in the noise of the imbalance; they sum to 3.
 
-    Parameters
-    ----------
-    scaled_arms
-        (3, n) A diag(alpha).
-    variance
-        (n,) of one reading.
+    From (3, n) A diag(alpha) and the (n,) variance of one reading.
     """
     solved = np.linalg.solve(imbalance_covariance(scaled_arms, variance), scaled_arms)
     return np.asarray(np.einsum("kn,kn->n", scaled_arms, solved) * variance)
@@ -285,10 +263,10 @@ _SMOOTH = (
 
 
 def describe_pattern(pattern: Array, layout: Layout) -> str:
-    """Describe an (n,) pattern over the enabled actuators as a person would.
+    """Describe an (n,) pattern over the enabled actuators in words.
 
-    One actuator if it holds more than half of the square; else the first smooth shape that, with
-    those before it taken out, holds more than half; else how many actuators share it.
+    One actuator if it has more than half of the square; otherwise the first smooth shape that,
+    without those before it, has more than half; otherwise how many actuators share it.
     """
     on = layout.enabled
     square = pattern**2 / np.sum(pattern**2)

@@ -1,12 +1,12 @@
-"""The paper's method: E alpha' = r by singular value decomposition, rows as they are.
+"""The paper's method: E alpha' = r by singular value decomposition, and each cycle alone.
 
-It puts the noise where there is none (the right-hand side) and none where it is (the matrix): with
-noisy readings it is biased, and its errors here are scatter and weights, without that bias.
+It assumes noise in the right-hand side, where there is none, and none in the matrix, where it is:
+with noisy readings it is biased, and its errors here are scatter and weights, without that bias.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,64 +39,30 @@ from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms, external
 
 @dataclass(frozen=True, eq=False)
 class SingularSolution:
-    """Least squares of a linear system.
+    """Least squares of a linear system of m equations with u unknowns."""
 
-    Attributes
-    ----------
-    matrix, right_side
-        (equations, unknowns) and (equations,).
-    solution
-        (unknowns,).
-    singular_values
-        (unknowns,) descending.
-    rank
-        Singular values above rounding: says nothing of noisy data.
-    inverse
-        (unknowns, unknowns) of E' E.
-    """
-
+    # (m, u) and (m,).
     matrix: Array
     right_side: Array
+    # (u,); (u,) descending.
     solution: Array
     singular_values: Array
-    rank: int
-    inverse: Array
+    rank: int  # number of singular values above rounding: without meaning for noisy data
+    inverse: Array  # (u, u) of E' E
 
     @property
     def condition(self) -> float:
-        """Largest over smallest singular value; infinite where that is 0."""
+        """Largest over smallest singular value; infinite if that is 0."""
         largest, *_, least = self.singular_values
         return float(largest / least) if least else float("inf")
 
 
-def solve(matrix: Array, right_side: Array) -> SingularSolution:
+def solve(matrix: Array, right_side: Array, *, any_rank: bool = False) -> SingularSolution:
     """Solve an overdetermined system, (m, u) and (m,), by singular value decomposition.
 
-    Raises
-    ------
-    RankDeficient
-        The matrix is singular to rounding.
-    """
-    solved, unknowns = solve_whatever_rank(matrix, right_side), matrix.shape[1]
-    if solved.rank < unknowns:
-        raise RankDeficient(
-            f"the system has rank {solved.rank} of {unknowns}",
-            remedy="apply more independent shapes, or a load that differs",
-            got=solved.rank,
-            want=unknowns,
-        )
-    return solved
-
-
-def solve_whatever_rank(matrix: Array, right_side: Array) -> SingularSolution:
-    """Solve (m, u) and (m,) as `solve`; of a singular matrix the shortest of all solutions.
-
     A QR factorisation comes first, which keeps the singular values and makes tall systems cheap.
-
-    Raises
-    ------
-    RankDeficient
-        There are fewer equations than unknowns.
+    Raises RankDeficient if there are fewer equations than unknowns, or the matrix is singular; with
+    ``any_rank`` the shortest of all solutions is returned for a singular matrix.
     """
     unknowns = matrix.shape[1]
     if len(matrix) < unknowns:
@@ -109,6 +75,13 @@ def solve_whatever_rank(matrix: Array, right_side: Array) -> SingularSolution:
     triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
     left, values, right = singular_values_and_vectors(triangle[:, :-1])
     rank = int(np.count_nonzero(values > values[0] * np.finfo(float).eps * unknowns))
+    if rank < unknowns and not any_rank:
+        raise RankDeficient(
+            f"the system has rank {rank} of {unknowns}",
+            remedy="apply more independent shapes, or a load that differs",
+            got=rank,
+            want=unknowns,
+        )
     pseudo_inverse = right[:rank].T / values[:rank]
     return SingularSolution(
         matrix=matrix,
@@ -121,17 +94,12 @@ def solve_whatever_rank(matrix: Array, right_side: Array) -> SingularSolution:
 
 
 def fit(campaign: Campaign) -> SingularSolution:
-    """Solve E alpha' = r, rows unweighted and torques in N m, as the paper writes it.
-
-    Raises
-    ------
-    RankDeficient
-    """
+    """Solve E alpha' = r, rows unweighted and torques in N m, as in the paper."""
     return solve(*system_e(campaign, enabled_arms(campaign.layout)))
 
 
 def _by_load(campaign: Campaign, equations: Array) -> list[Array]:
-    """Part (equations, ...) of E or r into loads, each (3, rows, ...)."""
+    """Split (equations, ...) of E or r into loads, each (3, rows, ...)."""
     counts = [np.count_nonzero(cycle.valid) for cycle in campaign.cycles]
     ends = 3 * np.cumsum(np.bincount(campaign.load_index, counts).astype(int))
     parts = np.split(equations, ends[:-1])
@@ -142,7 +110,7 @@ def scatter_covariance(campaign: Campaign, solved: SingularSolution) -> Array:
     """Return the (u, u) covariance of the solution about its mean, from the scatter of the rows.
 
     The three equations of a row share its noise, and that noise is in the matrix: residuals are
-    neither independent nor alike. How far each row pulls, e' (r - e alpha'), scatters among its
+    neither independent nor identical. The pull of each row, e' (r - e alpha'), scatters among its
     repeats, whatever the form of the noise (the sandwich of Huber and White); a row without a
     repeat counts with all of its pull.
     """
@@ -160,7 +128,7 @@ def scatter_covariance(campaign: Campaign, solved: SingularSolution) -> Array:
 
 
 def weight_changes(campaign: Campaign, solved: SingularSolution, errors: WeightErrors) -> Array:
-    """Return (errors, unknowns) the change of the solution by each error of the weights."""
+    """Return (errors, u) the change of the solution by each error of the weights."""
     by_load = np.stack(  # d solution / d W of each load
         [solved.inverse @ e[0].sum(axis=0) for e in _by_load(campaign, solved.matrix)]
     )
@@ -187,22 +155,8 @@ def bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array
     return np.asarray(-solved.inverse[:, :n] @ (d * solved.solution[:n]))
 
 
-def _bias_warnings(biased: Array, scatter: Array) -> Iterator[Finding]:
-    """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
-    size, stated = (float(np.sqrt(np.mean(each**2))) for each in (biased, scatter))
-    if size > 0.2 * stated:
-        yield Finding.of(
-            Code.SVD_BIAS if size < LIMITS.svd_bias * stated else Code.SVD_BIAS_LARGE, bias=size
-        )
-
-
 def solve_campaign(campaign: Campaign, moments: Moments) -> Estimate:
-    """Solve E alpha' = r of a campaign, as the paper does; its moments say what it can fix.
-
-    Raises
-    ------
-    RankDeficient
-    """
+    """Return the paper's estimate of a campaign; raise RankDeficient if there is none."""
     diagnosis = diagnose(campaign, moments)
     refuse(diagnosis.faults, diagnosis.undetermined)
     fitted, errors = fit(campaign), weight_errors(campaign)
@@ -212,8 +166,11 @@ def solve_campaign(campaign: Campaign, moments: Moments) -> Estimate:
     changes = weight_changes(campaign, fitted, errors)
     if moments.repeats:
         biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
-        warnings = _bias_warnings(biased, np.sqrt(np.diag(reading_covariance)[:n]))
-        diagnosis = replace(diagnosis, warnings=tuple(warnings))
+        size = np.sqrt(np.mean(biased**2))
+        scatter = np.sqrt(np.trace(reading_covariance[:n, :n]) / n)
+        if size > 0.2 * scatter:
+            code = Code.SVD_BIAS if size < LIMITS.svd_bias * scatter else Code.SVD_BIAS_LARGE
+            diagnosis = replace(diagnosis, warnings=(Finding.of(code, bias=size),))
     return Estimate(
         method="svd",
         scale=Scale.WEIGHTS,
@@ -230,16 +187,12 @@ def solve_campaign(campaign: Campaign, moments: Moments) -> Estimate:
 
 
 class CycleErrors:
-    """The paper's error: each file alone, B and torques held, three sigma of the mean.
+    """The paper's error (section 5): each cycle alone, B and torques held, three sigma of the mean.
 
-    C alpha = p (eq. 3) is solved for each cycle once its rows have been taken in, from
-    C' C = (A' A) o (sum of c c') where that is far from singular, which costs a tenth; else by
-    singular values. Either way a block of rows after the other, so that C is never whole.
-
-    Parameters
-    ----------
-    campaign, solution
-        Whose rows come; (n + 1 + 2 L,) alpha, B, then M_y, M_x of each load.
+    C alpha = p (eq. 3) is solved for each cycle after its rows, from C' C = (A' A) o (sum of c c')
+    if that is far from singular, which takes a tenth of the time; otherwise by singular values.
+    Either way rows are taken in blocks, so that C is never in memory. ``solution`` is (n + 1 + 2
+    L,) alpha, B, then M_y, M_x of each load.
     """
 
     def __init__(self, campaign: Campaign, solution: Array) -> None:
@@ -253,7 +206,7 @@ class CycleErrors:
         self._alphas: list[Array] = []
 
     def take(self, block: RowBlock) -> None:
-        """Take the next rows in; a cycle that was broken off says nothing of alpha alone."""
+        """Take the next rows; an incomplete cycle without alpha of its own is left out."""
         force = block.force
         self._square = dsyrk(1.0, force.T, beta=1.0, c=self._square, overwrite_c=True)  # its upper
         self._total += force.sum(axis=0)
@@ -267,9 +220,9 @@ class CycleErrors:
             self._square[:], self._total[:] = 0.0, 0.0
 
     def read(self, readers: Sequence[RowReader] = (), client: Client | None = None) -> None:
-        """Read the rows of all cycles, for more readers as well.
+        """Read the rows of all cycles, also for more readers.
 
-        With a client and no more readers its workers do, a cycle each.
+        With a client and no more readers its workers read them, a cycle each.
         """
         if client is None or readers:
             read_rows(self._campaign, (self.take, *readers))
@@ -285,7 +238,7 @@ class CycleErrors:
             self._alphas += alphas
 
     def _from_square(self, external: tuple[float, ...]) -> Array | None:
-        """Solve C' C alpha = C' p in place; None where it is close to singular."""
+        """Solve C' C alpha = C' p in place; None if it is close to singular."""
         a, square = self._a, self._square
         square *= a.T @ a
         right = -np.sum(a * external_load(*external)[:, None], axis=0) * self._total
@@ -313,14 +266,9 @@ def _alphas_of(cycle_and_solution: tuple[Cycle, Array]) -> list[Array]:
 
 
 def from_rows(cycle: Cycle, a: Array, external: tuple[float, ...]) -> Array | None:
-    """Solve C alpha = p of one cycle by singular values; None where its rank is short.
+    """Solve C alpha = p of one cycle by singular values; None if its rank is deficient.
 
-    Parameters
-    ----------
-    cycle, a
-        The cycle, whose rows are read anew; (3, n) arms of its enabled actuators.
-    external
-        W, B [N], M_y and M_x [N m].
+    Its rows are read again. ``a`` are (3, n) arms; ``external`` W, B [N], M_y and M_x [N m].
     """
     n = a.shape[1]
     triangle = np.empty((0, n + 1))

@@ -25,7 +25,6 @@ from truenewton.estimation.findings.estimate import (
     NoiseSource,
     temperature_errors,
     weight_errors,
-    with_warnings,
 )
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import DataSet, Minimum, Prior, minimise
@@ -87,19 +86,19 @@ def fit_campaign(
     if not where_it_holds:
         with advising_ml():
             estimate, against = _found(screened, base, motion)
-        return with_warnings(estimate, doubts(against))
+        return estimate.with_warnings(doubts(against))
     if screened.moments.displacement is None:
         return base
     if base.effects:
         first = next((effect for effect in base.effects if effect.corrected), base.effects[0])
         alone = ", which only ml corrects" if first.corrected else ""
         untried = Finding.of(Code.EFFECT_PRESENT, effect=f"{first.name}{alone}")
-        return with_warnings(base, instead([untried]))
+        return base.with_warnings(instead([untried]))
     try:
         estimate, against = _found(screened, base, motion)
     except (RankDeficient, NotConverged) as error:
         against = (failed(error),)
-    return with_warnings(base, instead(against)) if against else estimate
+    return base.with_warnings(instead(against)) if against else estimate
 
 
 def _found(
@@ -128,7 +127,7 @@ def _found(
     problem = problem_of(campaign, noise, errors)
     shared = with_share_in_balance(problem, screened, base.values[: problem.n])
     minimum = _with_weights(problem, moments, (fitted, keep), base, excess)
-    estimate = campaign_ml.estimate_of(METHOD, problem, moments, minimum, base.rejected, 0)
+    estimate = campaign_ml.estimate_of(METHOD, problem, moments, minimum, base.rejected_rows, 0)
     effects = tuple(replace(effect, corrected=False) for effect in base.effects)  # by `ml` alone
     said = estimate.diagnosis.warnings
     if excess > 1.0:
@@ -142,7 +141,7 @@ def _found(
         goodness=goodness,
         effects=effects,
         unseen=base.unseen,
-        declared_chi2=base.declared_chi2,
+        chi2=base.chi2,
         diagnosis=replace(estimate.diagnosis, warnings=said),
         sensors=sensors_of(fitted, errors_of_sensors(fitted), ids, keep),
     )
@@ -161,7 +160,7 @@ def _balancing(screened: ScreenedCampaign, base: Estimate) -> Moments:
     moments, campaign = screened.moments, screened.campaign
     out = {
         (campaign.load_index[row.cycle], int(cycle.shape[row.row]), int(cycle.sign[row.row]))
-        for row in base.rejected
+        for row in base.rejected_rows
         if row.against == "balance"
         for cycle in (campaign.cycles[row.cycle],)
     }
