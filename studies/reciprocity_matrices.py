@@ -179,9 +179,9 @@ def examine(matrix, motion=None):
     cpu, layout = time.process_time(), matrix.layout
     modes = modes_of(matrix.layout, MatrixFacts.of(matrix), motion)
     found = examined(modes)
-    n, unknowns, steps = modes.places.n, len(found.joint.covariance), found.joint.steps
+    n, unknowns = modes.places.n, len(found.joint.covariance)
     print(
-        f"{n} actuators, {unknowns} unknowns, {steps} steps; with halves and each alone"
+        f"{n} actuators, {unknowns} unknowns; with halves and each alone"
         f" {time.process_time() - cpu:.0f} s of processor"
     )
     for line in found.imbalances:

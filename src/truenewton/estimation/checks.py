@@ -46,9 +46,8 @@ from truenewton.estimation.paper.identifiability import centred_means, refuse
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.readings.rows import WEIGHED_NOISE, is_displaced
-from truenewton.estimation.screening.frozen_readings import still_sensors
 from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, Noise
-from truenewton.estimation.screening.screen import ScreenedCampaign, naming
+from truenewton.estimation.screening.screen import ScreenedCampaign, naming, still_sensors
 from truenewton.linalg import ROWS_AT_ONCE, assignment, asymmetry
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.rounding import named

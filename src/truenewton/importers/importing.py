@@ -391,13 +391,15 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     screened = screen_matrix(matrix)
     gone = np.zeros(matrix.layout.n, dtype=np.bool_)
     gone[matrix.layout.enabled] = ~measured
-    off = gone if not screened.pushing else np.zeros_like(gone)
+    pushing = any(each.code is Code.OFF_BUT_PUSHING for each in screened.warnings)
+    off = gone if not pushing else np.zeros_like(gone)
     if gone.any():
-        what = "disabled" if not screened.pushing else "left enabled: around them columns do not"
-        what += " balance, as if they had pushed" if screened.pushing else ""
+        what = "disabled" if not pushing else "left enabled: around them columns do not"
+        what += " balance, as if they had pushed" if pushing else ""
         off_ids, zero = listed(matrix.layout.id[gone], MAX_NAMES), "rows and columns of zeros"
         lines.append(("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {off_ids}"))
-    lines += [("do not fit", each.fault) for each in screened.unsure]
+    kept = [each for each in screened.warnings if each.code is Code.MISFITS_KEPT]
+    lines += [("do not fit", each.fault) for each in kept]
     left_out = [each for each in screened.effects if each.code == Code.ACTUATOR_MISFIT]
     for reason in dict.fromkeys(each.detail for each in left_out):
         ids = [i for each in left_out if each.detail == reason for i in each.actuators]

@@ -31,8 +31,7 @@ from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.readings.row_readers import RowBlock, read_rows
 from truenewton.estimation.readings.rows import distinct, row_groups, row_weights
-from truenewton.estimation.screening.frozen_readings import frozen_sensors
-from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
+from truenewton.estimation.screening.screen import ScreenedCampaign, frozen_sensors, screen_campaign
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle

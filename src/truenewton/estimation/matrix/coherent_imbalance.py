@@ -39,11 +39,9 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.couplings import relative_couplings
 from truenewton.estimation.matrix.facts import MatrixFacts
 
-MIN_ACTUATORS = 12
+MIN_ACTUATORS = 12  # more than the patterns of a mistake could imitate by chance
 PRIOR_READINGS = 12.0  # weight of the other columns' noise in that of one
-MIN_RING_GAP = 0.03  # between two rings, relative to the largest radius
 DISTANCE_BINS = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)  # quantiles of the distances of pairs
-MIN_SPREAD = 3.0  # of log alpha relative to its error, if gains are compared with it
 
 
 class Pattern(NamedTuple):
@@ -123,7 +121,9 @@ def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
     for power in (2, 3):
         part = (x * radius ** (2 * power), y * radius ** (2 * power))
         yield of_positions("radii (positions along the surface, a scale that varies)", *part)
-    ring = _rings(radius)
+    ordered = np.sort(radius)
+    edges = ordered[1:][np.diff(ordered) > 0.03]  # the first radius of each ring
+    ring = np.digitize(radius, edges - 1e-9)
     for number in range(ring.max() + 1 if ring.max() < 20 else 0):
         part = np.where(ring == number, 1.0, 0.0) / np.maximum(radius, 1e-9)
         yield of_positions(f"the radius of ring {number + 1}", part * x, part * y)
@@ -201,7 +201,7 @@ def sensor_gains(facts: MatrixFacts, alpha: Array, covariance: Array) -> SensorG
     own = max(float(np.mean(log_gain**2)) - noise, noise, 1e-300)
     spread = float(np.mean(log_alpha**2)) - noise
     with_alpha = sigmas = 0.0
-    if spread > MIN_SPREAD**2 * noise:
+    if spread > 9.0 * noise:  # three times the error of log alpha
         together = float(np.mean(log_gain * log_alpha)) + noise
         with_alpha = together / float(np.sqrt(spread * own))
         scatter = max(float(np.mean(log_gain**2) - np.mean(np.diag(of_gains))), 0.0)
@@ -225,13 +225,6 @@ def _covariance_of_ratios(commanded: Array, misfit: Array) -> Array:
     return np.asarray(square * np.linalg.pinv(laplacian, hermitian=True))
 
 
-def _rings(radius: Array) -> NDArray[np.int64]:
-    """Return (n,) ring numbers from the inside: radii with gaps between them."""
-    ordered = np.sort(radius)
-    edges = ordered[1:][np.diff(ordered) > MIN_RING_GAP]
-    return np.asarray(np.digitize(radius, edges - 1e-9), dtype=np.int64)
-
-
 def _noise_root(q: Array, m: Array, e: Array, by_alpha: Array) -> Array:
     """Return (n, 3, 3) inverse roots of the noise of the imbalance of each column.
 
@@ -244,7 +237,11 @@ def _noise_root(q: Array, m: Array, e: Array, by_alpha: Array) -> Array:
     size, column = np.full(2, 0.5 * float(np.mean(e**2))), np.ones(n)
     for _ in range(10):
         root = _root(np.tensordot(size, laws, 1) * column[:, None, None])
-        basis = _orthonormal(_whitened(root, by_alpha))
+        columns = _whitened(root, by_alpha)
+        gram = columns.T @ columns  # Cholesky is accurate enough to estimate noise
+        gram[np.diag_indices(len(gram))] *= 1.0 + 1e-12
+        factor = scipy.linalg.cholesky(gram, lower=True)
+        basis = scipy.linalg.solve_triangular(factor, columns.T, lower=True).T
         r = _whitened(root, e)
         r = (r - basis @ (basis.T @ r)).reshape(n, 3)
         free = 1.0 - np.sum(basis**2, axis=1).reshape(n, 3).mean(axis=1)
@@ -257,14 +254,6 @@ def _noise_root(q: Array, m: Array, e: Array, by_alpha: Array) -> Array:
         column = column * np.sqrt(seen / (3.0 * free + PRIOR_READINGS))
         column /= np.exp(np.mean(np.log(column)))
     return _root(np.tensordot(size, laws, 1) * column[:, None, None])
-
-
-def _orthonormal(columns: Array) -> Array:
-    """Return columns with the same span, by Cholesky: accurate enough to estimate noise."""
-    gram = columns.T @ columns
-    gram[np.diag_indices(len(gram))] *= 1.0 + 1e-12
-    factor = scipy.linalg.cholesky(gram, lower=True)
-    return np.asarray(scipy.linalg.solve_triangular(factor, columns.T, lower=True).T)
 
 
 def _root(variance: Array) -> Array:

@@ -13,7 +13,6 @@ Singular vectors mix columns and lose this information.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +20,7 @@ import scipy
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import (
     likeliest_spread,
     on_logarithms,
@@ -102,24 +102,19 @@ def likeliest_noise(
     found = []
     for law in (normal, student):
         found += [law(0.0), law(1.0)]
-        value, noise = law(_likeliest_share(law))
+        share = scipy.optimize.minimize_scalar(
+            lambda logit, law=law: law(float(scipy.special.expit(logit)))[0],
+            bounds=(-7.0, 7.0),
+            method="bounded",
+            options={"xatol": 0.05},
+        )
+        value, noise = law(float(scipy.special.expit(share.x)))
         found.append((value + MIN_LOG_LIKELIHOOD_GAIN, noise))
     noise = min(found, key=lambda each: each[0])[1]
     if np.isinf(noise.freedom):
         return noise, np.ones(len(residual))
     distance = at(noise.proportional)[1] / noise.variance
     return noise, (noise.freedom + freedoms) / (noise.freedom + distance)
-
-
-def _likeliest_share(law: Callable[[float], tuple[float, ColumnNoise]]) -> float:
-    """Return the most likely part of proportional noise between 0 and 1."""
-    found = scipy.optimize.minimize_scalar(
-        lambda logit: law(float(scipy.special.expit(logit)))[0],
-        bounds=(-7.0, 7.0),
-        method="bounded",
-        options={"xatol": 0.05},
-    )
-    return float(scipy.special.expit(found.x))
 
 
 def _cost(distance: Array, freedom: float, dimensions: Array | float) -> float:
@@ -274,15 +269,16 @@ MAX_DISTURBANCE_SHARE = 0.1  # part of a column's variance, if its noise is to b
 
 
 @dataclass(frozen=True, eq=False)
-class ColumnFit:
-    """Alpha from columns."""
+class ElasticFit:
+    """Relative alpha of elastic modes."""
 
+    method: str  # as in the calibration file
     alpha: Array  # (n,) with mean 1
     covariance: Array  # (n, n) of alpha
-    spread: float  # of the population; infinite for none
-    # (n,) squared imbalance of the columns in patterns of alpha, relative to noise
-    eigenvalues: Array
-    inflation: float  # variance of alpha relative to that expected from the information alone
+    # (n,) of the balance of the modes, ascending; the first belongs to alpha
+    singular_values: Array
+    variance: float = float("nan")  # noise of one element of a mode; NaN if not needed
+    warnings: tuple[Finding, ...] = ()  # which results are weak
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,11 +293,12 @@ class _Point:
     cost: float = np.inf
 
 
-def fit_columns(columns: Columns, *, population: bool = False) -> ColumnFit:
-    """Fit alpha and the law of the noise alternately.
+def fit_columns(columns: Columns, *, population: bool = False) -> tuple[ElasticFit, float]:
+    """Return alpha with mean 1, fitted alternately with the law of the noise, and an inflation.
 
     The columns have at least as many equations as unknowns. ``population``: treat what is not
-    smooth in alpha as samples of a normal population, whose spread is estimated.
+    smooth in alpha as samples of a normal population, whose spread is estimated. The inflation is
+    the variance of alpha relative to that expected from the information alone.
 
     Raises
     ------
@@ -334,8 +331,12 @@ def fit_columns(columns: Columns, *, population: bool = False) -> ColumnFit:
     inverse = held @ inverse[:n, :n] @ held.T
     covariance = inverse + inverse @ feigned @ inverse
     share = float(np.trace(covariance) / np.trace(inverse))
-    eigenvalues = _eigenvalues(columns, terms, feigned)
-    return ColumnFit(alpha, covariance, best.spread, eigenvalues, share)
+    # Balance of the columns as they are, in patterns of alpha, relative to D.
+    rows = (np.linalg.inv(terms.root) @ columns.a) * columns.stiffness.T[:, None, :]
+    flat = rows.reshape(-1, n) / np.sqrt(np.diag(feigned))
+    balance = np.sqrt(np.maximum(np.linalg.eigvalsh(flat.T @ flat), 0.0))
+    method = f"ml, population {best.spread:.2g}" if population else "ml"
+    return ElasticFit(method, alpha, covariance, balance), share
 
 
 def _alternate(
@@ -377,14 +378,6 @@ def _alternate(
         ):
             break
     return _Point(alpha, b, noise, spread, weight, cost)
-
-
-def _eigenvalues(c: Columns, terms: Terms, feigned: Array) -> Array:
-    """Return (n,) ascending eigenvalues of the balance of the columns, relative to D."""
-    n, m = c.stiffness.shape
-    rows = (np.linalg.inv(terms.root) @ c.a) * c.stiffness.T[:, None, :]
-    flat = rows.reshape(3 * m, n) / np.sqrt(np.diag(feigned))
-    return np.asarray(np.maximum(np.linalg.eigvalsh(flat.T @ flat), 0.0))
 
 
 def _rough_noise(c: Columns, alpha: Array, proportional: float) -> ColumnNoise:

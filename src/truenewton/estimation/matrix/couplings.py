@@ -15,9 +15,9 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from truenewton.arrays import Array
+from truenewton.estimation.findings.code import LIMITS
 
 MIN_JUDGED_ACTUATORS = 20  # actuators among which one can be recognised as an outlier
-MAX_MISFIT_FRACTION = 0.1  # of all actuators may not fit; beyond it none can be singled out
 STRONG_COUPLING = 0.05  # relative to both diagonal elements: minimum of a pair that is used
 # Pairs above this coupling have equal weight, so that one wrong element does not dominate.
 EQUAL_WEIGHT_COUPLING = 0.1
@@ -113,7 +113,8 @@ def misplaced(seen: Array, arms: Array) -> dict[int, tuple[float, float]]:
     own, spacing = np.linalg.norm(found - places, axis=1), typical_spacing(arms / arms[0])
     usual = float(np.median(own))
     away = np.flatnonzero(own > max(MIN_PLACE_DISTANCE * spacing, MIN_PLACE_RATIO * usual)).tolist()
-    if usual > MAX_TYPICAL_DISTANCE * spacing or len(away) > max(1, MAX_MISFIT_FRACTION * len(own)):
+    few = max(1, LIMITS.misfit_fraction * len(own))
+    if usual > MAX_TYPICAL_DISTANCE * spacing or len(away) > few:
         return {}
     x, y = arms[0] * found.T
     return {i: (float(x[i]), float(y[i])) for i in away if _is_free(places, i, found[i], spacing)}
@@ -126,7 +127,7 @@ def displaced(k: Array, arms: Array) -> Array:
     position is corrected first, as long as each explains most of the remaining cost.
     """
     given, arms, spacing = arms, arms.copy(), typical_spacing(arms)
-    for _ in range(max(1, int(MAX_MISFIT_FRACTION * len(k)))):
+    for _ in range(max(1, int(LIMITS.misfit_fraction * len(k)))):
         (i, shift, left), (j, other, other_left) = (_farthest(one, arms) for one in (k, k.T))
         far = float(np.linalg.norm(shift))
         # Force and sensor are found at about the same position, which explains most of the cost.

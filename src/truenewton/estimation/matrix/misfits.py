@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
+from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.matrix.couplings import (
     ELSEWHERE,
-    MAX_MISFIT_FRACTION,
     NEAR_SPACINGS,
     displaced,
     pair_ratios,
@@ -32,15 +32,14 @@ from truenewton.estimation.matrix.couplings import (
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import row_order
 
-MIN_GAIN_FACTOR = 1.1  # from that of other sensors, from which one is wrong, and
-# Times what is typical of log t: sensors off their magnets feign gains, all of them.
+MIN_GAIN_FACTOR = 1.1  # relative to other sensors: less is not a wrong gain
+# Log gain relative to the median: all sensors off their magnets seem to have other gains.
 MIN_GAIN_DEVIATION = 4.5
-MAX_GAIN_REMAINDER = 0.5  # of what the columns around are out of balance by, at most
+MAX_GAIN_REMAINDER = 0.5  # imbalance of the columns around, relative to that without correction
 ELEMENT_TOLERANCE = 0.03  # of an element, within which it is the same as its transpose
 MAX_SOUGHT_FACTOR = 30.0  # largest gain error that is looked for
 MIN_IMBALANCE_RATIO = 5.0  # relative to the median: columns that are out of balance
-# Of what those columns are out of balance by, if many gains are wrong at once.
-MAX_COMMON_REMAINDER = 0.05
+MAX_COMMON_REMAINDER = 0.05  # the same if many gains are wrong at once
 
 
 def wrong_gains(
@@ -189,15 +188,6 @@ def fill_by_symmetry(k: Array, a: Array) -> tuple[Array, NDArray[np.int64], NDAr
     return filled / factor, rows, columns
 
 
-def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> bool:
-    """Return whether columns near actuator i balance better with its row than with its column."""
-    rho = a @ even
-    by_column = rho + a[:, [i]] * (even[:, i] - even[i])
-    own = _own(even)
-    sizes = [np.sum((np.linalg.norm(each, axis=0) / own)[near]) for each in (rho, by_column)]
-    return bool(sizes[0] <= sizes[1])
-
-
 def agrees(even: Array, i: int, near: NDArray[np.bool_]) -> bool:
     """Return whether a column of an (n, n) stiffness equals its row, at the (n,) others near it."""
     far = np.abs(even[near, i] - even[i, near]) > ELEMENT_TOLERANCE * np.abs(even[i, near])
@@ -304,7 +294,7 @@ def bad_actuators(
     def add(indices: NDArray[np.int64], reason: str, sizes: Array) -> None:
         for index, size in zip(indices.tolist(), sizes.tolist(), strict=True):
             found.setdefault(index, BadActuator(index, reason, size))
-        if len(found) > max(2, MAX_MISFIT_FRACTION * n):
+        if len(found) > max(2, LIMITS.misfit_fraction * n):
             certain = reason in (OTHER_ORDER, OTHER_SIGN)
             raise (RankDeficient if certain else FitsNoSymmetry)(
                 f"{len(found)} of {n} actuators do not fit the others: the matrix is far from"
@@ -362,7 +352,10 @@ def bad_actuators(
 def _make_alike(even: Array, a: Array, some: Sequence[int], linked: NDArray[np.bool_]) -> None:
     """Replace the row by the column of some actuators, or the reverse, whichever balances."""
     for i in some:
-        if better_by_row(even, a, i, linked[i]):
+        rho = a @ even
+        by_column = rho + a[:, [i]] * (even[:, i] - even[i])
+        out = [np.linalg.norm(each, axis=0) / _own(even) for each in (rho, by_column)]
+        if np.sum(out[0][linked[i]]) <= np.sum(out[1][linked[i]]):
             even[:, i] = column_by_row(even, a, i)
         else:
             even[i] = even[:, i]
@@ -441,8 +434,11 @@ def _mend_elements(
     c = relative_couplings(k)
     difference, level = np.abs(c - c.T), np.abs(c + c.T)
     upper = np.triu_indices(len(k), 1)
-    times = np.zeros_like(c)
-    times[upper] = difference[upper] / _by_level(difference[upper], level[upper])
+    times, usual = np.zeros_like(c), np.zeros(len(upper[0]))
+    order = np.argsort(level[upper], kind="stable")
+    for some in np.array_split(order, max(1, min(60, len(order) // 200))):  # of similar size
+        usual[some] = np.median(difference[upper][some])
+    times[upper] = difference[upper] / np.maximum(usual, 1e-300)
     times += times.T
     usual = np.maximum(np.median(times, axis=1), 1.0)
     wrong = (times > ELEMENT_RATIO * np.maximum(usual[:, None], usual)) & (
@@ -471,15 +467,6 @@ def _mend_elements(
         k[row, j] -= force[row] * own[j]
         out.append((row, float(size[j])))
     return out
-
-
-def _by_level(values: Array, level: Array) -> Array:
-    """Return the median of values among those of about the same level."""
-    order = np.argsort(level, kind="stable")
-    out = np.empty_like(values)
-    for some in np.array_split(order, max(1, min(60, len(order) // 200))):
-        out[some] = np.median(values[some])
-    return np.maximum(out, 1e-300)
 
 
 def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:

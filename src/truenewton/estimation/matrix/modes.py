@@ -29,7 +29,7 @@ from truenewton.estimation.likelihood import (
     smooth_patterns,
     with_population,
 )
-from truenewton.estimation.matrix.columns import Columns, fit_columns
+from truenewton.estimation.matrix.columns import Columns, ElasticFit, fit_columns
 from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.estimation.paper.equations import balance_rows
@@ -39,25 +39,11 @@ from truenewton.linalg import singular_values_and_vectors
 from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms
 
-# Diagonal element of a mirror's stiffness [N/m]: typical, least and most.
-TYPICAL_STIFFNESS, MIN_PLAUSIBLE_STIFFNESS, MAX_PLAUSIBLE_STIFFNESS = 2e6, 2e4, 2e9
+TYPICAL_STIFFNESS = 2e6  # diagonal element of a mirror's stiffness [N/m]
 UNITS = {-1: "N/mm", -2: "N/um", -3: "N/nm"}  # by powers of a thousand
 # No gains explain more: alpha that scatters by a third makes 0.25, another order 1.
 MAX_ASYMMETRY = 0.5
 EVEN_MODES, ODD_MODES = slice(0, None, 2), slice(1, None, 2)  # modes, the first stiffest
-
-
-@dataclass(frozen=True, eq=False)
-class ElasticFit:
-    """Relative alpha of elastic modes."""
-
-    method: str  # as in the calibration file
-    alpha: Array  # (n,) with mean 1
-    covariance: Array  # (n, n) of alpha
-    # (n,) of the balance of the modes, ascending; the first belongs to alpha
-    singular_values: Array
-    variance: float = float("nan")  # noise of one element of a mode; NaN if not needed
-    warnings: tuple[Finding, ...] = ()  # which results are weak
 
 
 ElasticMethod = Callable[[Columns], ElasticFit]
@@ -164,23 +150,20 @@ def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
 
     If the remaining imbalance is not noise of independent elements, alpha is that of the modes, all
     with the same noise, and its errors follow from the imbalance of each mode.
-
-    Raises
-    ------
-    RankDeficient, NotConverged
+    Raises RankDeficient, NotConverged.
     """
     n = columns.a.shape[1]
     refuse_few_modes(len(columns.modes.values), n)
     try:
-        fit = fit_columns(columns, population=population)
+        fit, inflation = fit_columns(columns, population=population)
     except (RankDeficient, NotConverged):
         fit_of_modes = likeliest(columns.modes.forces.T, columns.a, population=population)
         return replace(fit_of_modes, warnings=(Finding.of(Code.COLUMN_NOISE_NOT_INDEPENDENT),))
-    if fit.inflation > SPURIOUS_FACTOR:
+    if inflation > SPURIOUS_FACTOR:
         raise RankDeficient(
             "noise decides some patterns of alpha: the matrix is too noisy for so many actuators",
             remedy="use --population, or measure a less noisy matrix",
-            got=fit.inflation,
+            got=inflation,
             want=SPURIOUS_FACTOR,
         )
     if (fit.alpha <= 0.0).any():
@@ -188,8 +171,7 @@ def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
             "the alpha that balances the columns is not positive for every actuator",
             remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
         )
-    method = f"ml, population {fit.spread:.2g}" if population else "ml"
-    return ElasticFit(method, fit.alpha, fit.covariance, np.sqrt(fit.eigenvalues))
+    return fit
 
 
 def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit:
@@ -197,10 +179,7 @@ def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit
 
     ``population``: treat what is not smooth in alpha as samples of a normal population, whose
     spread is estimated. The arms ``a`` are (3, n).
-
-    Raises
-    ------
-    RankDeficient, NotConverged
+    Raises RankDeficient, NotConverged.
     """
     start, singular_values = balance_modes(modes, a)
     fit = _at_spread(modes, a, np.inf, start, singular_values)
@@ -239,25 +218,18 @@ def _at_spread(
     pulled = pull(on_logarithms(smooth, spread), values)[1] * variance
     covariance = mode_covariance(modes, a, values, s, pulled)
     if np.isfinite(spread):
-        covariance = covariance + _shrinkage(modes, a, s, pulled) * variance
+        rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a)
+        information = rows.T @ rows + pulled
+        information += np.trace(information) / len(pulled) ** 2
+        inverse = np.linalg.inv(information)  # the effect of the population on alpha
+        covariance = covariance + inverse @ pulled @ inverse * variance
     return ElasticFit("ml", values, covariance, singular_values, variance)
-
-
-def _shrinkage(modes: Array, a: Array, s: Array, pulled: Array) -> Array:
-    """Return the (n, n) covariance of the population's effect on alpha, over variance."""
-    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a)
-    information = rows.T @ rows + pulled
-    information += np.trace(information) / len(pulled) ** 2
-    inverse = np.linalg.inv(information)
-    return np.asarray(inverse @ pulled @ inverse)
 
 
 def fit_balance(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
     """Return relative alpha from the balance of the modes or columns.
 
-    Raises
-    ------
-    RankDeficient, NotConverged
+    Raises RankDeficient, NotConverged.
     """
     facts = screened.facts
     refuse([geometry_fault(enabled_arms(screened.matrix.layout))])
@@ -308,7 +280,7 @@ def _not_as_agreed(facts: MatrixFacts) -> Iterator[Finding]:
 def _unit_warnings(facts: MatrixFacts) -> Iterator[Finding]:
     """Yield that the matrix is not in N/m, which does not affect relative alpha."""
     own = float(np.median(np.abs(np.diag(facts.stiffness))))
-    if not MIN_PLAUSIBLE_STIFFNESS < own < MAX_PLAUSIBLE_STIFFNESS:
+    if not 1e-2 < own / TYPICAL_STIFFNESS < 1e3:  # of any mirror in N/m
         power = round(np.log10(max(own, 1e-300) / TYPICAL_STIFFNESS) / 3.0)
         unit = UNITS.get(power, "counts, or no N/m at least")
         yield Finding.of(Code.STIFFNESS_UNIT, unit=unit, own=own, usual=TYPICAL_STIFFNESS)

@@ -43,6 +43,7 @@ from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import enabled_arms
+from truenewton.statics.layout import Layout
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,6 @@ class ScreenedMatrix:
     disturbance: Array
     warnings: tuple[Finding, ...] = ()
     effects: tuple[Finding, ...] = ()  # which were left out, and why
-    unsure: tuple[Finding, ...] = ()  # why all actuators are kept although some do not fit
-    pushing: bool = False  # columns around an empty one do not balance
 
 
 def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
@@ -91,10 +90,9 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     ]
     found, unsure = tuple[BadActuator, ...](), tuple[Finding, ...]()
     if np.count_nonzero(~off) >= MIN_JUDGED_ACTUATORS:
-        length = float(np.linalg.norm(enabled_arms(matrix.layout)[1:]) / np.linalg.norm(a[1:]))
         try:
             measured = facts if k is facts.stiffness and not off.any() else None
-            found, k = _mended(k, a, off, [each.index for each in half], length, measured)
+            found, k = _mended(k, a, off, [each.index for each in half], measured)
         except FitsNoSymmetry as error:
             unsure = (Finding.of(Code.MISFITS_KEPT, fault=error.fault, advice=error.remedy),)
     known = {each.index for each in half}
@@ -130,12 +128,10 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
         disturbance,
         (*unsure, *_warnings(ids, off, bad, pushing=pushing)),
         (
-            *_effects(ids, off, bad),
+            *_effects(matrix.layout, a, off, bad),
             *order_effects(facts, screened.layout, named=False),
             *orientation_effects(facts),
         ),
-        unsure,
-        pushing,
     )
 
 
@@ -159,26 +155,15 @@ def _mended(
     a: Array,
     off: NDArray[np.bool_],
     filled: list[int],
-    length: float,
     facts: MatrixFacts | None,
 ) -> tuple[tuple[BadActuator, ...], Array]:
-    """Return the actuators that do not fit, by their index among all, and the corrected (n, n) k.
-
-    The distance of one from its position is in metres, by the ``length`` of a unit of the arms.
-    """
+    """Return the actuators that do not fit, by index among all, and the corrected (n, n) k."""
     measured = np.flatnonzero(~off)
     block = np.ix_(measured, measured)
     among = np.searchsorted(measured, filled).tolist()
     facts = facts or MatrixFacts(k[block], a[:, ~off])
     found, mended = bad_actuators(facts, a[:, off], among)
-    bad = tuple(
-        BadActuator(
-            int(measured[each.index]),
-            each.reason,
-            each.size * length if each.reason == ELSEWHERE else each.size,
-        )
-        for each in found
-    )
+    bad = tuple(replace(each, index=int(measured[each.index])) for each in found)
     raw, k = k, k.copy()
     k[block] = mended
     unlike = [each.index for each in bad if each.reason == ROW_UNLIKE_COLUMN]
@@ -263,14 +248,17 @@ def _warnings(
 
 
 def _effects(
-    ids: NDArray[np.int64], off: NDArray[np.bool_], bad: Sequence[BadActuator]
+    layout: Layout, a: Array, off: NDArray[np.bool_], bad: Sequence[BadActuator]
 ) -> Iterator[Finding]:
     """Yield which actuators were left out: one finding for each reason, with its largest size."""
+    ids = layout.id[layout.enabled]
     for reason in dict.fromkeys(each.reason for each in bad):
         some = [each for each in bad if each.reason == reason]
         names = [int(ids[each.index]) for each in some]
-        far = max(each.size for each in some)
         elsewhere = reason == ELSEWHERE
+        far = max(each.size for each in some)
+        if elsewhere:  # from the unit of the arms to metres
+            far *= float(np.linalg.norm(enabled_arms(layout)[1:]) / np.linalg.norm(a[1:]))
         yield Finding(
             code=Code.ACTUATOR_MISFIT,
             detail=f"{reason}, up to {far:.2g} m off" if elsewhere else reason,

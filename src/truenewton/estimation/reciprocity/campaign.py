@@ -30,16 +30,7 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import DataSet, Minimum, Prior, minimise
 from truenewton.estimation.problem import Problem, load_data, problem_of, with_share_in_balance
 from truenewton.estimation.readings.moments import Moments, chosen_groups, shape_sums
-from truenewton.estimation.reciprocity.acceptance import (
-    Evidence,
-    advising_ml,
-    doubts,
-    errors_of_sensors,
-    failed,
-    instead,
-    refusals,
-    sensors_of,
-)
+from truenewton.estimation.reciprocity import acceptance
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.regression import (
     MAX_SINGLE_STATES,
@@ -53,7 +44,6 @@ from truenewton.estimation.reciprocity.sensor_model import (
     START_REQUEST,
     Kind,
     Request,
-    Values,
     at_nominal,
     places_of,
 )
@@ -69,36 +59,28 @@ def fit_campaign(
 ) -> Estimate:
     """Return alpha and the sensors of a campaign; contradictions are among the warnings.
 
-    Parameters
-    ----------
-    screened
-        Cycles with POSITION, under at least two loads.
-    motion
-        (n, n) or (6, n, n) sensor model of the shell (`places_of`).
-    where_it_holds
-        If reciprocity is not accepted, return the estimate by `ml`, with the reason.
-
-    Raises
-    ------
-    RankDeficient, TooManyOutliers, NotConverged
+    The cycles contain POSITION, under at least two loads. ``motion`` is the (n, n) or (6, n, n)
+    sensor model of the shell (`places_of`). ``where_it_holds``: if reciprocity is not accepted,
+    return the estimate by `ml`, with the reason.
+    Raises RankDeficient, TooManyOutliers, NotConverged.
     """
     base = campaign_ml.fit_campaign(screened)
     if not where_it_holds:
-        with advising_ml():
+        with acceptance.advising_ml():
             estimate, against = _found(screened, base, motion)
-        return estimate.with_warnings(doubts(against))
+        return estimate.with_warnings(acceptance.doubts(against))
     if screened.moments.displacement is None:
         return base
     if base.effects:
         first = next((effect for effect in base.effects if effect.corrected), base.effects[0])
         alone = ", which only ml corrects" if first.corrected else ""
         untried = Finding.of(Code.EFFECT_PRESENT, effect=f"{first.name}{alone}")
-        return base.with_warnings(instead([untried]))
+        return base.with_warnings(acceptance.instead([untried]))
     try:
         estimate, against = _found(screened, base, motion)
     except (RankDeficient, NotConverged) as error:
-        against = (failed(error),)
-    return base.with_warnings(instead(against)) if against else estimate
+        against = (acceptance.failed(error),)
+    return base.with_warnings(acceptance.instead(against)) if against else estimate
 
 
 def _found(
@@ -119,7 +101,10 @@ def _found(
     keep, odd = kept(stiffness.stiffness)
     places = kept_places(places_of(layout, motion), keep, stiffness.stiffness)
     stiffness = condensed_regression(stiffness, keep)
-    fitted = fit(places, START_REQUEST, stiffness.states, start=_near(base, keep))
+    # Near enough for the quietest readings: alpha of `ml`, about mean 1.
+    log_alpha = np.log(np.maximum(base.values[: len(keep)][keep], MIN_START_ALPHA))
+    start = replace(at_nominal(places.n), log_alpha=log_alpha - log_alpha.mean())
+    fitted = fit(places, START_REQUEST, stiffness.states, start=start)
     goodness = _goodness(fitted, stiffness)
     excess = goodness.reduced if goodness.probability < MIN_FIT_PROBABILITY else 1.0
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
@@ -143,16 +128,16 @@ def _found(
         unseen=base.unseen,
         chi2=base.chi2,
         diagnosis=replace(estimate.diagnosis, warnings=said),
-        sensors=sensors_of(fitted, errors_of_sensors(fitted), ids, keep),
+        sensors=acceptance.sensors_of(fitted, acceptance.errors_of_sensors(fitted), ids, keep),
     )
-    evidence = Evidence(
+    evidence = acceptance.Evidence(
         fitted.reduced,
         odd=odd,
         disturbed=bool(np.any(shared.disturbance)),
         untried=problem.n if problem.n > MAX_SINGLE_STATES else 0,
         offset_spread=fitted.asked.offset_spread if fitted.asked.estimated else float("nan"),
     )
-    return estimate, tuple(refusals(evidence))
+    return estimate, tuple(acceptance.refusals(evidence))
 
 
 def _balancing(screened: ScreenedCampaign, base: Estimate) -> Moments:
@@ -169,13 +154,6 @@ def _balancing(screened: ScreenedCampaign, base: Estimate) -> Moments:
     return chosen_groups(
         moments, np.array([tuple(label) not in out for label in moments.labels.tolist()])
     )
-
-
-def _near(base: Estimate, keep: NDArray[np.bool_]) -> Values:
-    """Return the alpha of `ml` as first values, a good start for the quietest readings."""
-    log_alpha = np.log(np.maximum(base.values[: len(keep)][keep], MIN_START_ALPHA))
-    start = at_nominal(int(keep.sum()))
-    return replace(start, log_alpha=log_alpha - log_alpha.mean())
 
 
 def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:

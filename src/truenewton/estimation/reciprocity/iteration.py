@@ -34,7 +34,7 @@ from truenewton.estimation.reciprocity.sensor_model import (
 )
 from truenewton.linalg import inverse_of_positive, thread_count, threads
 
-MAX_STEPS = 40
+MAX_STEPS = 40  # of the iteration
 
 # Makes states and weights at given values of the unknowns.
 StatesAt = Callable[[Places, Values, SensorModel], tuple[States, Weights]]
@@ -72,11 +72,6 @@ class Fit:
         return replace(self, covariance=self.covariance[:, :n].copy())
 
     @property
-    def asked_again(self) -> Request:
-        """The request, with known spreads."""
-        return replace(self.asked, estimated=False)
-
-    @property
     def reduced(self) -> tuple[float, float, float]:
         """chi2 of each block over its degrees of freedom."""
         return tuple(  # type: ignore[return-value]
@@ -107,21 +102,11 @@ def fit(
 ) -> Fit:
     """Return the most likely unknowns.
 
-    Parameters
-    ----------
-    states_at
-        Gives states and weights.
-    start
-        First values; nominal unless given.
-    told
-        Called with the leverages after each step.
-    fixed
-        Weights and spreads are fixed. A factor is reused while steps become shorter.
-
-    Notes
-    -----
-    Steps are in single precision: the score determines where they end. The final covariance is in
-    double precision, unless weights are fixed.
+    ``states_at`` gives states and weights, ``start`` the first values (nominal by default), and
+    ``told`` is called with the leverages after each step. ``fixed``: weights and spreads are fixed,
+    and a factor is reused while steps become shorter. Steps are in single precision: the score
+    determines where they end. The final covariance is in double precision, unless weights are
+    fixed.
 
     Raises
     ------

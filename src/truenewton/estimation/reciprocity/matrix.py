@@ -18,13 +18,7 @@ from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.modes import EVEN_MODES, ODD_MODES, Imbalance, imbalances_of
 from truenewton.estimation.matrix.order import balance_effects
 from truenewton.estimation.matrix.screen import ScreenedMatrix
-from truenewton.estimation.reciprocity.acceptance import (
-    Evidence,
-    apart,
-    disagreement,
-    refusals,
-    sensors_of,
-)
+from truenewton.estimation.reciprocity import acceptance
 from truenewton.estimation.reciprocity.information import States, Weights
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.noise import (
@@ -119,17 +113,14 @@ class MatrixEvidence:
     sensor_errors: dict[Kind, Array]  # (n,) of log g and of offsets [m]
     # (n,) log alpha by balance alone and by reciprocity alone; NaN if there is none
     alone: tuple[Array, Array]
-    evidence: Evidence
+    evidence: acceptance.Evidence
 
 
 def examined(modes: Modes) -> MatrixEvidence:
     """Fit all modes and every second one, by balance and reciprocity together and apart.
 
     Noise and scatter of the sensors are those of the fit to all, except by balance alone.
-
-    Raises
-    ------
-    RankDeficient, NotConverged
+    Raises RankDeficient, NotConverged.
     """
     report_progress("reciprocity", 0.02)
     joint = modes.fit(START_REQUEST)
@@ -137,97 +128,76 @@ def examined(modes: Modes) -> MatrixEvidence:
     noise = noise_of(modes.stiffness, joint, modes.places)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS_OFFSET
     report_progress("reciprocity, of halves of the modes", 0.65)
-    halves = _halves(modes, joint, noise, doubtful=doubtful)
+    again, weights = replace(joint.asked, estimated=False), joint.point.weights
+    halves = [
+        modes.every(some).fit(again, start=joint.values, weights=weights.every(some)).of_alpha
+        for some in (EVEN_MODES, ODD_MODES)
+    ]
+    imbalances = modes.imbalances(joint, *halves)
+    drawn = drawn_differences(halves, noise)
+    excess = beyond_noise(halves, drawn, alike=True, doubtful=doubtful)
     report_progress("reciprocity, against the balance", 0.8)
     try:
-        evidence, ways, unequal = _against_balance(modes, joint, noise, halves, doubtful=doubtful)
+        evidence, ways, unequal = _against_balance(
+            modes, joint, noise, acceptance.disagreement(*halves), doubtful=doubtful
+        )
     except (RankDeficient, NotConverged):
-        # Where balance alone gives no alpha, nothing speaks against reciprocity.
-        evidence, unequal = Evidence(), 1.0
+        # If balance alone gives no alpha, nothing contradicts reciprocity.
+        evidence, unequal = acceptance.Evidence(), 1.0
         ways = (np.full(modes.places.n, np.nan),) * 2
     evidence = replace(
         evidence,
-        held_out=_unseen(halves.imbalances),
+        held_out=_held_out(imbalances),
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
-    one, other = (half.log_alpha for half in halves.values)
+    one, other = (half.values for half in halves)
     covariance, of_sensors = stated_errors(joint, noise)
-    excess = max(halves.excess, unequal)
+    excess = max(excess, unequal)
     if doubtful or excess > 1.0:
-        # What a model leaves out is no better in the whole than in one half.
-        of_one = 0.5 * float(np.var(one - other) / np.mean(np.diag(covariance)))
-        covariance = covariance * max(excess, of_one)
-        of_sensors = {
-            kind: np.maximum(
-                error, error * _of_one(halves.values, kind) / np.sqrt(np.mean(error**2))
-            )
-            for kind, error in of_sensors.items()
-        }
+        # Model errors are no smaller in the fit to all modes than in one half.
+        of_alpha = np.var(one.log_alpha - other.log_alpha) / np.mean(np.diag(covariance))
+        covariance = covariance * max(excess, 0.5 * float(of_alpha))
+        for kind, error in of_sensors.items():
+            rms = np.sqrt(0.5 * np.mean((one.of(kind) - other.of(kind)) ** 2))
+            of_sensors[kind] = np.maximum(error, error * rms / np.sqrt(np.mean(error**2)))
     return MatrixEvidence(
-        joint, halves.imbalances, (one, other), covariance, of_sensors, ways, evidence
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Halves:
-    """Results of fits to every second mode."""
-
-    values: tuple[Values, Values]  # of both fits
-    imbalances: tuple[Imbalance, ...]  # of all modes, and of held-out ones
-    excess: float  # variance between the two over that of noise
-    disagreement: float  # the same over the stated variance
-
-
-def _halves(modes: Modes, joint: Fit, noise: MatrixNoise, *, doubtful: bool) -> Halves:
-    """Fit every second mode, with noise and scatter of the sensors from all modes."""
-    again, weights = joint.asked_again, joint.point.weights
-    one, other = (
-        modes.every(some).fit(again, start=joint.values, weights=weights.every(some)).of_alpha
-        for some in (EVEN_MODES, ODD_MODES)
-    )
-    drawn = drawn_differences((one, other), noise)
-    return Halves(
-        values=(one.values, other.values),
-        imbalances=modes.imbalances(joint, one, other),
-        excess=beyond_noise((one, other), drawn, alike=True, doubtful=doubtful),
-        disagreement=disagreement(one, other),
+        joint, imbalances, (one.log_alpha, other.log_alpha), covariance, of_sensors, ways, evidence
     )
 
 
 def _against_balance(
-    modes: Modes, joint: Fit, noise: MatrixNoise, halves: Halves, *, doubtful: bool
-) -> tuple[Evidence, tuple[Array, Array], float]:
+    modes: Modes, joint: Fit, noise: MatrixNoise, of_halves: float, *, doubtful: bool
+) -> tuple[acceptance.Evidence, tuple[Array, Array], float]:
     """Fit balance alone and reciprocity alone.
 
     Returns how they agree, (n,) log alpha by each, and the variance between them over that of
-    noise.
+    noise. ``of_halves`` is the disagreement of the halves.
     """
     alone = [  # alpha only: the balance knows nothing of sensors
         each.fit(Request(), balance=True, start=joint.values)
         for each in (modes, modes.every(EVEN_MODES), modes.every(ODD_MODES))
     ]
-    by_balance = _unseen(modes.imbalances(*alone))
-    own = disagreement(*alone[1:])
+    by_balance = _held_out(modes.imbalances(*alone))
+    own = acceptance.disagreement(*alone[1:])
     weights = joint.point.weights.of_symmetry
-    reciprocity = modes.fit(joint.asked_again, start=joint.values, weights=weights)
+    again = replace(joint.asked, estimated=False)
+    reciprocity = modes.fit(again, start=joint.values, weights=weights)
     pair = (alone[0], reciprocity.of_alpha)
     drawn = drawn_differences(pair, noise)
     excess = beyond_noise(pair, drawn, alike=False, doubtful=doubtful)
-    between = as_stated = apart(*pair, own, halves.disagreement)
+    between = as_stated = acceptance.apart(*pair, own, of_halves)
     if noise.variance is not None:  # what the fits state is not their error
         between = beyond_noise(pair, drawn, alike=False, doubtful=True)
     ways = (pair[0].values.log_alpha, pair[1].values.log_alpha)
-    return Evidence(by_balance=by_balance, apart=between, as_stated=as_stated), ways, excess
+    return (
+        acceptance.Evidence(by_balance=by_balance, apart=between, as_stated=as_stated),
+        ways,
+        excess,
+    )
 
 
-def _of_one(halves: tuple[Values, Values], kind: Kind) -> float:
-    """Return the rms error of one half of the modes, from the difference of both."""
-    one, other = (half.of(kind) for half in halves)
-    return float(np.sqrt(0.5 * np.mean((one - other) ** 2)))
-
-
-def _unseen(imbalances: tuple[Imbalance, ...]) -> float:
+def _held_out(imbalances: tuple[Imbalance, ...]) -> float:
     """Return the imbalance of held-out modes, over both halves."""
     return float(np.linalg.norm([line.after for line in imbalances[1:]]))
 
@@ -245,20 +215,9 @@ def fit_matrix(
     reciprocity, differ by more: the residuals of a real matrix are not all noise. If sensors are
     off their magnets and the shell is not known, it is at least that of one half.
 
-    Parameters
-    ----------
-    screened
-        A matrix of commanded force per reading.
-    base
-        The estimate of `ml`, with the findings about the matrix itself.
-    motion
-        (n, n) as for `modes_of`.
-    where_it_holds
-        Return ``base`` if too many actuators are unlike the others.
-
-    Raises
-    ------
-    RankDeficient, NotConverged
+    ``base`` is the estimate of `ml`, with the findings about the matrix itself. ``motion`` is
+    (n, n) as for `modes_of`. ``where_it_holds``: return ``base`` if too many actuators are odd.
+    Raises RankDeficient, NotConverged.
     """
     layout, facts = screened.matrix.layout, screened.facts
     for effect in balance_effects(facts):
@@ -271,7 +230,11 @@ def fit_matrix(
     keep, odd = kept(facts.stiffness, facts.pair_ratios[0])
     transposed = facts.looks_transposed
     if odd and where_it_holds:
-        return base, (), tuple(refusals(Evidence(odd=odd, transposed=transposed)))
+        return (
+            base,
+            (),
+            tuple(acceptance.refusals(acceptance.Evidence(odd=odd, transposed=transposed))),
+        )
     modes = modes_of(layout, facts, motion, keep)
     found = examined(modes)
     joint, n = found.joint, len(keep)
@@ -286,28 +249,22 @@ def fit_matrix(
     held = np.eye(n) - np.outer(np.ones(n), alpha / alpha.sum())  # mean alpha stays 1
     covariance = held @ whole @ held.T * np.outer(alpha, alpha)
     ids = layout.id[layout.enabled]
+    of_columns = Code.COLUMN_NOISE_NOT_INDEPENDENT
+    said = [each for each in base.diagnosis.warnings if each.code is not of_columns]
+    if not keep.all():
+        said.append(Finding.of(Code.RECIPROCITY_EXCLUDED, actuators=ids[~keep]))
     estimate = replace(
         base,
         method="reciprocity",
         values=alpha,
         reading_covariance=covariance,
-        sensors=sensors_of(joint, found.sensor_errors, ids, keep),
+        diagnosis=replace(base.diagnosis, warnings=tuple(said)),
+        sensors=acceptance.sensors_of(joint, found.sensor_errors, ids, keep),
     )
-    of_columns = Code.COLUMN_NOISE_NOT_INDEPENDENT
-    said = [each for each in base.diagnosis.warnings if each.code is not of_columns]
-    if not keep.all():
-        said.append(Finding.of(Code.RECIPROCITY_EXCLUDED, actuators=ids[~keep]))
-    diagnosis = replace(base.diagnosis, warnings=tuple(said))
-    estimate = replace(estimate, diagnosis=diagnosis)
     stated, of_balance = (
         float(np.median((np.sqrt(np.diag(each.reading_covariance)[:n]) / each.values[:n])[keep]))
         for each in (estimate, base)
     )
-    evidence = replace(
-        found.evidence,
-        odd=odd,
-        transposed=transposed,
-        error=stated,
-        error_by_balance=of_balance,
-    )
-    return estimate, found.imbalances, tuple(refusals(evidence))
+    evidence = replace(found.evidence, odd=odd, transposed=transposed)
+    evidence = replace(evidence, error=stated, error_by_balance=of_balance)
+    return estimate, found.imbalances, tuple(acceptance.refusals(evidence))

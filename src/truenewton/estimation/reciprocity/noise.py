@@ -57,7 +57,6 @@ from truenewton.estimation.reciprocity.sensor_model import (
 )
 from truenewton.linalg import factor_of, inverse_of_positive
 
-MIN_MODES_IN_BIN = 8
 # Variance of rigid motions relative to the quietest pair with the same mode: gains and offsets of a
 # small mirror can fit rigid motions without residuals.
 MIN_RIGID_VARIANCE = 0.01
@@ -119,7 +118,7 @@ class BinnedNoise:
     def weights(self, states: States) -> Weights:
         """Return weights from the residuals and from the leverages of the last fit."""
         left = residuals(states)
-        bins = equal_bins(states.count, min(12, states.count // MIN_MODES_IN_BIN))
+        bins = equal_bins(states.count, min(12, states.count // 8))
         sizes = np.array([some.stop - some.start for some in bins])
         starts = [some.start for some in bins]
         pairs = np.outer(sizes, sizes) - np.diag(sizes)
@@ -390,18 +389,12 @@ def stated_errors(fit: Fit, noise: MatrixNoise) -> tuple[Array, dict[Kind, Array
     drawn = errors(fit, noise, noise.scores)
     rms = np.split(np.sqrt(np.mean(drawn**2, axis=0)), len(fit.asked.kinds))
     of_sensors = dict(zip(fit.asked.kinds[1:], rms[1:], strict=True))
-    return covariance_of_draws(alpha, drawn[:, : len(alpha)]), of_sensors
-
-
-def covariance_of_draws(stated: Array, drawn: Array) -> Array:
-    """Return the (n, n) covariance of (draws, n) errors, of which there may be few.
-
-    As if that of `_by_size` had been observed in n draws before (the mean of an inverse Wishart
-    distribution).
-    """
-    draws, n = drawn.shape
-    held, vectors = _by_size(stated, drawn)
-    return np.asarray((drawn.T @ drawn + n * (vectors * held) @ vectors.T) / (draws + n))
+    # There may be few draws: as if the variances of `_by_size` had been observed in n draws before
+    # (the mean of an inverse Wishart distribution).
+    drawn = drawn[:, : len(alpha)]
+    (draws, n), (held, vectors) = drawn.shape, _by_size(alpha, drawn)
+    covariance = (drawn.T @ drawn + n * (vectors * held) @ vectors.T) / (draws + n)
+    return covariance, of_sensors
 
 
 def _by_size(stated: Array, drawn: Array) -> tuple[Array, Array]:

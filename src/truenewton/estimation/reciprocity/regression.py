@@ -118,14 +118,8 @@ def regressed(
     sums of forces and torques have beyond that is added: a mirror that vibrates as a whole does so
     against the air film, whose force all actuators share.
 
-    Parameters
-    ----------
-    moments
-        With displacements; forces are c (1 + COILGRAD z) [N].
-    variance
-        (n,) s_i^2, of one force reading of weight 1 [N^2].
-    bias_gradient, coil_gradient
-        BIASGRAD [N/m], COILGRAD [1/m].
+    ``moments`` contain displacements; their forces are c (1 + COILGRAD z) [N]. ``variance`` is the
+    (n,) s_i^2 of one force reading of weight 1 [N^2]. BIASGRAD is in [N/m], COILGRAD in [1/m].
 
     Raises
     ------

@@ -1,7 +1,6 @@
-"""Rows and files that are not what they should be, before anything is fitted.
+"""Rows and files that are not what they should be, before the fit.
 
-hypotheses       files whose unit, signs, columns, labels, load or origin is not what they claim
-frozen_readings  readings that freeze, or end at a limit
-noise            noise of one reading, and whether shapes repeat over loads and signs
-screen           rows far from their repeats are left out
+hypotheses  files whose unit, signs, columns, labels, load or origin is not what they claim
+noise       noise of one reading, and whether shapes repeat over loads and signs
+screen      rows that differ from their repeats, readings that freeze or end at a limit
 """

@@ -1,16 +1,16 @@
 """Whether a file is what it claims to be: its unit, signs, columns, labels, load and origin.
 
-A shape costs the same forces in every file, whatever hangs on the mirror, and moves the sensors by
-as much. So rows of each file under the same label (SHAPE times SIGN), their mean taken off, are
-alike but for noise. Where those of a file are not, hypotheses are tried: another unit or sign,
-columns in another order or of the other sign, other labels. One is accepted if it leaves little of
-the distance to the other files.
+A shape costs the same forces in every file, whatever the load, and moves the sensors by the same
+amount. So rows of each file under the same label (SHAPE times SIGN), minus their mean, are equal
+except for noise. If those of a file are not, hypotheses are tested: another unit or sign, columns
+in another order or of the other sign, other labels. One is accepted if it leaves little of the
+distance to the other files.
 
-Forces at rest tell the load of a file without any fit. With one static force for each file and one
-elastic force for each label, rows are c = s_file + e_label; least squares for s of all files, e
-eliminated, need no more than sums that `moments` has (a Laplacian over the files). Files under one
-load then lie together, those under another apart: where as many clusters as loads stand clearly
-apart, a file in the cluster of another load has the wrong name.
+Forces at rest identify the load of a file without any fit. With one static force for each file and
+one elastic force for each label, rows are c = s_file + e_label; least squares for s of all files,
+with e eliminated, needs only sums that `moments` contains (a Laplacian over the files). Files under
+one load then form a cluster. If there are as many clear clusters as loads, a file in the cluster of
+another load has the wrong name.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
 
 from truenewton.arrays import Array
 from truenewton.estimation.findings.code import Code
@@ -36,14 +38,14 @@ from truenewton.records.campaign import Campaign
 from truenewton.rounding import listed, significant
 from truenewton.statics.arms import enabled_arms
 
-MIN_DIFFERENCE = 0.3  # of a column's size: beyond, it is not what it is in the other files
-MAX_REMAINING_DISTANCE = 0.3  # of a distance, which a hypothesis that is accepted leaves at most
-MAX_NAMED_FILES = 2  # that are named one by one
+# Distance relative to the size of a column, if it differs, and to the distance without a hypothesis
+# that is accepted.
+MAX_SAME_DISTANCE = 0.3
 
 
 def agree(left: Any, before: Any) -> Any:
-    """Tell whether a hypothesis leaves little of squared distances."""
-    return left < MAX_REMAINING_DISTANCE**2 * before
+    """Return whether a hypothesis leaves little of squared distances."""
+    return left < MAX_SAME_DISTANCE**2 * before
 
 
 def squared_differences(rows: Array, others: Array) -> Array:
@@ -53,36 +55,31 @@ def squared_differences(rows: Array, others: Array) -> Array:
 
 
 def clusters(distance: Array, count: int) -> NDArray[np.int64] | None:
-    """Return (files,) cluster of each of the files, so many in all; None where none is clear.
-
-    Of two that are merged the nearest are first (single linkage), by (files, files) distances.
-    """
-    member, heights = np.arange(len(distance)), dict[int, float]()
-    while len(left := np.unique(member)) > 1:
-        if len(left) == count:
-            answer = np.searchsorted(left, member)
-        apart = np.where(member[:, None] == member, np.inf, distance)
-        one, other = np.unravel_index(apart.argmin(), apart.shape)
-        heights[len(left)] = float(apart[one, other])
-        member[member == member[other]] = member[one]
-    between, within = heights.get(count, 0.0), heights.get(count + 1, np.inf)
-    return answer if within < MAX_REMAINING_DISTANCE * between else None
+    """Return the (files,) clusters by (files, files) distances; None if they are not clear."""
+    if count >= len(distance):
+        return None
+    merged = linkage(squareform(distance, checks=False), "single")
+    within, between = merged[len(distance) - count - 1 :, 2][:2]
+    if within >= MAX_SAME_DISTANCE * between:
+        return None
+    label = fcluster(merged, count, "maxclust")
+    first = np.unique(label, return_index=True)[1]  # files of each cluster: number them in order
+    return np.searchsorted(np.sort(first), first[label - 1])
 
 
 def named_files(campaign: Campaign, files: Iterable[int]) -> str:
     """Return the names of the first files, and how many more there are."""
-    return listed([campaign.cycles[k].name for k in files], MAX_NAMED_FILES)
+    return listed([campaign.cycles[k].name for k in files], 2)
 
 
 # --- unit, sign and columns -----------------------------------------------------------------------
 
-MIN_SHARED_LABELS = 8  # labels that all files share: of fewer, two columns may be alike by chance
-MAX_ORDERED_COLUMNS = 1000  # columns that are put in order
-MIN_UNIT_FACTOR = 2.0  # times as large, or as small, as the others a file is in another unit
+MIN_SHARED_LABELS = 8  # of all files: with fewer, two columns may be equal by chance
+MIN_UNIT_FACTOR = 2.0  # between files in different units, in either direction
 
 
 class Difference(NamedTuple):
-    """What happened to a file: to some of its columns (none: to all), and how much larger it is."""
+    """A difference of a file: its columns (none: all), and the ratio of sizes."""
 
     code: Code
     columns: tuple[int, ...] = ()
@@ -90,14 +87,9 @@ class Difference(NamedTuple):
 
 
 def compare_files(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
-    """Name files whose FORCE or POSITION stands for other actuators, signs or units than elsewhere.
+    """Return files whose FORCE or POSITION has other actuators, signs or units than elsewhere.
 
-    What most files say is taken for right; of two files, or two halves, nobody can tell.
-
-    Parameters
-    ----------
-    campaign, prints
-        The files; some of their rows.
+    The majority of the files is taken as right; between two files, or two halves, there is none.
     """
     findings = list[Finding]()
     found = dict[tuple[Difference, tuple[int, ...]], list[str]]()
@@ -107,7 +99,10 @@ def compare_files(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
         if quantity == "POSITION" and not np.ptp(rows, axis=(0, 1)).any():
             findings.append(Finding(code=Code.CONSTANT_POSITION))
             continue
-        differences = _from_the_most_typical(_centred(rows))
+        centred = _centred(rows)
+        flat = centred.reshape(len(rows), -1)
+        typical = centred[np.median(squared_differences(flat, flat), axis=1).argmin()]
+        differences = [tuple(_differences(file, typical)) for file in centred]
         right = max(dict.fromkeys(differences), key=differences.count)
         for what in dict.fromkeys(chain(*differences)):
             files = tuple(k for k, d in enumerate(differences) if (what in d) != (what in right))
@@ -140,7 +135,7 @@ def _said(campaign: Campaign, what: Difference, files: tuple[int, ...], columns:
 
 
 def _positions(campaign: Campaign) -> Array | None:
-    """Return (files, m, n) readings of sensors under labels that all files have [m], or None."""
+    """Return (files, m, n) sensor readings under labels that all files have [m], or None."""
     codes = [(c.shape * c.sign)[c.valid] for c in campaign.cycles]
     chosen, readings = common_labels(codes), []
     for cycle, of in zip(campaign.cycles, codes, strict=True):
@@ -152,22 +147,15 @@ def _positions(campaign: Campaign) -> Array | None:
 
 
 def _centred(rows: NDArray[Any]) -> Array:
-    """Return (files, m, n) rows less the mean of each file; what stands still is 0 exactly."""
+    """Return (files, m, n) rows less the mean of each file; constant ones are exactly 0."""
     moved = rows - rows[:, :1].astype(np.float64)
     return np.asarray(moved - moved.mean(axis=1, keepdims=True)) if moved.size else moved
-
-
-def _from_the_most_typical(rows: Array) -> list[tuple[Difference, ...]]:
-    """Return how each of (files, m, n) rows differs from the file that is most like the others."""
-    flat = rows.reshape(len(rows), -1)
-    typical = rows[np.median(squared_differences(flat, flat), axis=1).argmin()]
-    return [tuple(_differences(file, typical)) for file in rows]
 
 
 def _differences(rows: Array, typical: Array) -> Iterator[Difference]:
     """Yield how (m, n) rows differ from those under the same labels in another file."""
     own, size, other_size = _square(rows - typical), _square(typical), _square(rows)
-    odd = np.flatnonzero(own > MIN_DIFFERENCE**2 * np.maximum(size, other_size))
+    odd = np.flatnonzero(own > MAX_SAME_DISTANCE**2 * np.maximum(size, other_size))
     if not odd.size:
         return
     times = float(np.sum(rows * typical) / max(np.sum(size), 1e-300))
@@ -178,7 +166,7 @@ def _differences(rows: Array, typical: Array) -> Iterator[Difference]:
             yield Difference(Code.OTHER_SIGN)
         return
     moved = np.zeros(odd.size, dtype=np.bool_)
-    if odd.size <= MAX_ORDERED_COLUMNS:
+    if odd.size <= 1000:  # the order of more takes too long
         moved = _moved(rows[:, odd], typical[:, odd])
     if moved.any():
         few = np.count_nonzero(moved) <= MAX_NAMED_ACTUATORS
@@ -190,7 +178,7 @@ def _differences(rows: Array, typical: Array) -> Iterator[Difference]:
 
 
 def _moved(rows: Array, typical: Array) -> NDArray[np.bool_]:
-    """Tell which of the columns of (m, n) rows are those of others among them."""
+    """Return which columns of (m, n) rows are those of others among them."""
     apart = squared_differences(rows.T, typical.T)
     order, itself = assignment(apart), np.arange(len(apart))
     moved = (order != itself) & agree(apart[itself, order], apart[itself, itself])
@@ -205,19 +193,14 @@ def _square(values: Array) -> Array:
 
 # --- labels ---------------------------------------------------------------------------------------
 
-MIN_RELABELLED_FRACTION = 0.3  # of the rows of a file that fit other labels
-MIN_SAME_SHIFT_FRACTION = 0.8  # of these that moved the same way
+MIN_RELABELLED_FRACTION = 0.3  # of the rows of a file fit other labels
+MIN_SAME_SHIFT_FRACTION = 0.8  # of these are shifted alike
 
 
 def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding, ...]:
-    """Name files whose rows fit other labels than theirs: SIGN reversed, or SHAPE counted anew.
+    """Return files whose rows fit other labels than theirs: SIGN reversed, or SHAPE renumbered.
 
-    Parameters
-    ----------
-    campaign
-        The files, in memory; else nothing is said.
-    files
-        Which of them to look at: their rows lie far from their repeats.
+    Only of ``files`` whose rows differ from their repeats, and if all rows are in memory.
     """
     if not all(isinstance(cycle.force, np.ndarray) for cycle in campaign.cycles):
         return ()
@@ -238,7 +221,7 @@ def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding,
 def _other_labels(
     rows: Array, labels: NDArray[np.int64], others: Array, other_labels: NDArray[np.int64]
 ) -> Code | None:
-    """Return how (m, n) rows of a file are labelled otherwise than others are, if they are."""
+    """Return how the labels of (m, n) rows of a file differ from those of others, or None."""
     known = np.unique(other_labels)
     # The median: one of the others may be wrong, too.
     typical = np.array([np.median(others[other_labels == label], axis=0) for label in known])
@@ -263,19 +246,12 @@ def _other_labels(
 
 # --- load -----------------------------------------------------------------------------------------
 
-MAX_PLAUSIBLE_ALPHA = 5.0  # alpha, or its inverse: beyond, what lies apart is not the weight
-WEIGHT_TOLERANCE = 1e-6  # of a weight, by which loads of one name differ at most
-INDISTINCT_RATIO = 1.5  # times as far as files of one load lie apart
+MAX_PLAUSIBLE_ALPHA = 5.0  # or its inverse: beyond, files do not differ by the weight
+INDISTINCT_RATIO = 1.5  # of a distance to that between files of one load
 
 
 def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[Finding, ...]:
-    """Name files whose forces at rest are those of another load than they say.
-
-    Parameters
-    ----------
-    campaign, moments
-        The files; their rows, none left out.
-    """
+    """Return files whose forces at rest are those of another load than they state."""
     if moments.within is None or len(campaign.loads) < 2 or len(campaign.cycles) < 3:
         return ()
     rest = rest_by_file(moments, moments.within)
@@ -295,7 +271,7 @@ def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[Finding, ..
 def _mislabelled(
     campaign: Campaign, rest: Array, distance: Array, true: NDArray[np.int64]
 ) -> Iterator[Finding]:
-    """Name files whose load is another than they say, if the weights agree with that."""
+    """Yield files with the wrong load, if the weights are consistent with that."""
     said, weights = np.array(campaign.load_index), campaign.effective_weights
     there, total = np.unique(true), rest @ enabled_arms(campaign.layout)[0]
     means = {load: rest[true == load].mean(axis=0) for load in there.tolist()}
@@ -312,10 +288,10 @@ def _mislabelled(
     for k in np.flatnonzero(true != said).tolist():
         own, other = int(said[k]), int(true[k])
         differ = abs(float(weights[own] - weights[other]))
-        if own in means or differ > WEIGHT_TOLERANCE * abs(weights[other]):
+        if own in means or differ > 1e-6 * abs(weights[other]):
             # A load that differs little from the other lies with it: so it may be what it says.
             off = max(abs(float(total[k] - sums[there == other].item())), scatter)
-            if own not in means and alpha.max() * off > MAX_REMAINING_DISTANCE * differ:
+            if own not in means and alpha.max() * off > MAX_SAME_DISTANCE * differ:
                 continue
             yield Finding(
                 code=Code.OTHER_LOAD,
@@ -335,9 +311,9 @@ def _mislabelled(
 
 
 def rest_by_file(moments: Moments, within: WithinGroups) -> Array | None:
-    """Return (files, n) static forces of each file but for what is common to all [N].
+    """Return (files, n) static forces of each file, without what all have in common [N].
 
-    None where files share too few shapes to be compared.
+    None if files share too few shapes to be compared.
     """
     files, labels = len(within.weight), moments.labels[:, 1] * moments.labels[:, 2]
     code = np.unique(labels, return_inverse=True)[1].ravel()
@@ -354,29 +330,19 @@ def rest_by_file(moments: Moments, within: WithinGroups) -> Array | None:
 
 # --- origin ---------------------------------------------------------------------------------------
 
-MIN_GROUP_DIFFERENCE = 0.02  # of their size two lots of files differ
-MIN_DIFFERENCE_OF_REPEATING_FILES = (
-    0.08  # where each file repeats, and nothing but the balance speaks against them
-)
+MIN_GROUP_DIFFERENCE = 0.02  # of two groups of files, relative to their size
+MIN_DIFFERENCE_OF_REPEATING_FILES = 0.08  # the same if each file repeats
 MIN_IDENTICAL_FRACTION = 0.2  # of the rows compared that are identical
-MIN_IDENTICAL_FRACTION_OF_STEPS = 0.9  # of them, where readings come in steps
-MIN_COMPARED_ROWS = 2  # rows
-MIN_RATIO_TO_OTHER_FILES = (
-    4.0  # times as many as between those files under one load that share the fewest
-)
+MIN_IDENTICAL_FRACTION_OF_STEPS = 0.9  # of them, if readings are multiples of a step
+MIN_RATIO_TO_OTHER_FILES = 4.0  # relative to the files under one load that share the fewest
 
 
 def unlike_files(
     campaign: Campaign, prints: RowPrints, least: float = MIN_GROUP_DIFFERENCE
 ) -> tuple[Finding, ...]:
-    """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do.
+    """Return the fewer of files that form two groups, as those of two mirrors or days do.
 
-    Parameters
-    ----------
-    campaign, prints
-        The files; some of their rows.
-    least
-        Of their size by which the lots differ.
+    The groups differ by ``least`` of their size.
     """
     rows = _centred(prints.common_rows())
     if len(rows) < 3 or rows.shape[1] < MIN_SHARED_LABELS:
@@ -394,9 +360,9 @@ def unlike_files(
 
 
 def _apart(rows: Array, others: Array) -> float:
-    """Return how far the columns of (m, n) rows typically lie from others, in terms of their size.
+    """Return the typical difference of the columns of (m, n) rows from others, relative.
 
-    A gain that rows have as a whole does not count, nor what few columns do.
+    A common gain does not count, nor does the difference of a few columns.
     """
     gain = float(np.sum(rows * others) / max(np.sum(others**2), 1e-300))
     size = np.maximum(_square(gain * others), 1e-300)
@@ -406,17 +372,10 @@ def _apart(rows: Array, others: Array) -> float:
 def copied_files(
     campaign: Campaign, prints: RowPrints, *, in_steps: bool = False
 ) -> tuple[Finding, ...]:
-    """Name files that hold the readings of others: rows of the same SHAPE and SIGN, bit by bit.
+    """Return files with the readings of others: rows of the same SHAPE and SIGN, bit by bit.
 
-    Of files under one load nothing is said where even those of different origin repeat to the last
-    bit: then there is no noise, or less than rounding hides.
-
-    Parameters
-    ----------
-    campaign, prints
-        The files; prints of their rows.
-    in_steps
-        Whether readings come in steps, so that rows may be alike by chance.
+    If even files of different origin under one load repeat to the last bit, there is no noise, or
+    less than rounding, and nothing is reported. ``in_steps``: rows may be equal by chance.
     """
     rows: list[dict[int, bytes]] = [{} for _ in campaign.cycles]
     for (file, code), readings in prints.taken.items():
@@ -428,7 +387,7 @@ def copied_files(
         alike = sum(rows[one][code] == rows[other][code] for code in common)
         if common and load[one] == load[other]:
             by_chance.append(alike / len(common))
-        if alike >= max(min(MIN_COMPARED_ROWS, len(common)), share * len(common), 1):
+        if alike >= max(min(2, len(common)), share * len(common), 1):
             same[one, other] = alike / len(common)
     usual = MIN_RATIO_TO_OTHER_FILES * min(by_chance) if by_chance and len(rows) > 2 else 0.0
     return tuple(

@@ -1,13 +1,12 @@
 """Noise of one reading, and whether shapes repeat over loads and signs.
 
-Whether shapes repeat over loads and signs, judged against their repeats.
-
-What pooled rows leave of the means of groups, c - U y (`pooling`), is noise if they do:
+If they do, the residuals of the means of groups from pooled rows, c - U y (`moments.Pooling`), are
+noise:
 
     chi^2 = sum r (c - U y)^2 / s^2,        n (g - R) degrees of freedom,
 
-with s^2 from the repeats. Readings that depend on each other, as those of a mirror that moves as a
-whole, have fewer: in terms of their correlation matrix C, (tr C)^2 / tr C^2 a row instead of n.
+with s^2 from the repeats. Dependent readings, as those of a mirror that moves as a whole, have
+fewer: with their correlation matrix C, (tr C)^2 / tr C^2 a row instead of n.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.chance import chi2_sf, f_sf
+from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.paper.identifiability import MIN_REPEATS
 from truenewton.estimation.readings.moments import Moments
@@ -29,36 +29,20 @@ from truenewton.records.campaign import Campaign
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Variance of one reading of weight 1, and what it rests on.
+    """Variance of one reading of weight 1, and its source."""
 
-    Attributes
-    ----------
-    variance
-        (n,) [N^2].
-    source
-        Where it is from; where from the minimum, only its shape is known, and the fit gives its
-        size.
-    share
-        How much of it reaches the balance, in terms of independent actuators: less than 1 where the
-        mirror's own motion makes part of it, more where something pushes many actuators at once.
-    share_freedom
-        Degrees of freedom from which the share is known.
-    hidden
-        (n,) how much of it repeats do not show: rounding that they have in common [N^2].
-    least
-        Variance below which it is not worth telling from rounding [N^2].
-    """
-
-    variance: Array
-    source: NoiseSource
+    variance: Array  # (n,) [N^2]
+    source: NoiseSource  # if the minimum, only its shape is known, and the fit gives its size
+    # part that reaches the balance, relative to independent actuators: less than 1 if the mirror's
+    # own motion makes part of it, more if many actuators share noise
     share: float = 1.0
-    share_freedom: float = np.inf
-    hidden: Array | float = 0.0
-    least: float = 0.0
+    share_freedom: float = np.inf  # degrees of freedom of the share
+    hidden: Array | float = 0.0  # (n,) part that repeats do not show: common rounding [N^2]
+    least: float = 0.0  # variance below which it is not distinguished from rounding [N^2]
 
     @property
     def in_balance(self) -> Array:
-        """(n,) variance of one reading as the balance feels it [N^2]."""
+        """(n,) variance of one reading in the balance [N^2]."""
         return self.seen * self.share + self.hidden
 
     @property
@@ -68,8 +52,12 @@ class Noise:
 
 
 def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
-    """Return the noise of a reading: from repeats, else as declared, else left to the minimum."""
-    n, least = moments.mean.shape[1], least_variance(moments)
+    """Return the noise of a reading: from repeats, as declared, or from the minimum."""
+    n = moments.mean.shape[1]
+    # A millionth of the forces, not from the sums, which cost a product of matrices. Less is not
+    # distinguished from rounding, in which the weights would be lost.
+    square = np.einsum("g,gi,gi->", moments.weight, moments.mean, moments.mean)
+    least = float(1e-12 * square / n / moments.weight.sum())
     if moments.repeats:
         each = moments.scatter / moments.repeats
         if moments.repeats < MIN_REPEATS:
@@ -86,7 +74,7 @@ def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
 
 
 def _hidden(moments: Moments, each: Array) -> Array:
-    """Return (n,) the variance of rounding that all rows of a group have in common [N^2].
+    """Return (n,) variance of rounding that all rows of a group have in common [N^2].
 
     As that of a row of weight 1, of which the mean of a group has as many as there are repeats.
     """
@@ -96,34 +84,16 @@ def _hidden(moments: Moments, each: Array) -> Array:
     return np.asarray(hidden * repeats / typical)
 
 
-def least_variance(moments: Moments) -> float:
-    """Return a variance below which noise is not worth telling from rounding [N^2].
-
-    A millionth of the forces. Against less, what the weights say would drown in rounding.
-    """
-    # Not from the sums, which cost a product of matrices.
-    square = np.einsum("g,gi,gi->", moments.weight, moments.mean, moments.mean)
-    return float(1e-12 * square / moments.mean.shape[1] / moments.weight.sum())
-
-
-MIN_FIT_PROBABILITY = 1e-3  # probability below which a model does not fit
+MIN_FIT_PROBABILITY = LIMITS.fit_probability  # below, a model does not fit
 
 
 @dataclass(frozen=True)
 class Structure:
-    """How well shapes repeat over loads and signs.
+    """Whether shapes repeat over loads and signs."""
 
-    Attributes
-    ----------
-    chi2, degrees_of_freedom
-        Of what pooled rows leave of the means of groups, in terms of the noise of repeats.
-    probability
-        Of a larger chi2 by chance.
-    """
-
-    chi2: float
+    chi2: float  # of the residuals of the means of groups, in terms of the noise of repeats
     degrees_of_freedom: float
-    probability: float
+    probability: float  # of a larger chi2 by chance
 
     @property
     def reduced(self) -> float:
@@ -134,13 +104,8 @@ class Structure:
 def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> Structure:
     """Test whether shapes repeat over loads and signs.
 
-    Parameters
-    ----------
-    moments, noise
-        The groups; the noise of a reading.
-    samples
-        Deviations of some rows from their repeats, in parts of (m, n) [N]: they tell how far
-        readings depend on each other. None where nothing repeats.
+    ``samples`` are deviations of some rows from their repeats, in parts of (m, n) [N], which show
+    how far readings depend on each other.
     """
     pooling = (moments if moments.pooled else replace(moments, pooled=True)).pooling
     # Of what is left the squares alone: every mean less its part in the rows needs their room.
@@ -160,7 +125,7 @@ def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> St
 
 
 def independent_readings(samples: Sequence[Array], n: int) -> float:
-    """Return how many of n readings are as good as independent, by parts of (m, n) samples."""
+    """Return the effective number of independent readings, by parts of (m, n) samples."""
     deviations = np.concatenate(samples) if samples else np.empty((0, n))
     m = len(deviations)
     if m < 2:
@@ -179,12 +144,10 @@ def independent_readings(samples: Sequence[Array], n: int) -> float:
 def pooled_where_it_fits(
     moments: Moments, noise: Noise, samples: Sequence[Array]
 ) -> tuple[Moments, Structure | None]:
-    """Return the moments pooled over loads and signs where shapes repeat so, and the test.
+    """Return the moments, pooled over loads and signs if shapes repeat so, and the test.
 
-    ``samples`` as in `structure_of`, (m, n) [N].
-
-    None where nothing tells the noise of a reading, or there is no more than rounding, or nothing
-    is to be pooled.
+    ``samples`` as in `structure_of`, (m, n) [N]. The test is None if the noise of a reading is not
+    known or only rounding, or if there is nothing to pool.
     """
     rounding = bool(np.any(noise.variance <= noise.least))
     if noise.source == NoiseSource.MINIMUM or rounding:

@@ -1,99 +1,77 @@
-"""Rows that lie far from their repeats, left out; and what one reading of the rows leaves behind.
+"""Outlying rows are left out, and files and readings checked, in one reading of the rows.
 
-A row is far whose reading of one actuator lies far from the mean of the others of its group. The
-worst row of each group goes first, the scatter is taken anew, until none is left; where only two
-rows disagree neither can be trusted and both go. A sound campaign loses a row
-once in four hundred.
+A row is an outlier if its reading of one actuator is far from the mean of the others of its group.
+The worst row of each group is removed first, the scatter is estimated again, until no outlier is
+left; if only two rows disagree, neither can be trusted and both are removed. A sound campaign loses
+a row once in four hundred.
 
-Where those that are left still scatter more than their median says, rows were no accidents but the
-tail of what happened to all, a drift perhaps: then only those go that stand out of that as well.
+If the remaining rows still scatter more than their median, outliers were not accidents but the tail
+of an effect on all rows, a drift perhaps: then only those are removed that stand out from that as
+well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, t_isf
 from truenewton.cluster import Client
 from truenewton.errors import FormatError, TooManyOutliers, TrueNewtonError
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import RejectedRow
-from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.finding import Finding, about_actuators
 from truenewton.estimation.readings.moments import QUARTILE, Moments
 from truenewton.estimation.readings.repeats import RepeatSums
 from truenewton.estimation.readings.row_readers import RowPrints
-from truenewton.estimation.screening.frozen_readings import (
-    clipped_readings,
-    frozen_readings,
-    frozen_sensors,
-    still_sensors,
-)
 from truenewton.estimation.screening.hypotheses import (
     MIN_DIFFERENCE_OF_REPEATING_FILES,
     compare_files,
     copied_files,
     mislabelled_files,
     mislabelled_rows,
+    named_files,
     unlike_files,
 )
 from truenewton.estimation.screening.noise import Structure, pooled_where_it_fits, reading_noise
 from truenewton.records.campaign import Campaign
 
-MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
 MAX_REJECTED_FRACTION = 0.3  # of the rows; beyond this the campaign is refused
-SYSTEMATIC_FRACTION = 0.15  # of the rows of a file: where more lie far, its labels are looked at
-LONG_TAIL_RATIO = 1.08  # of scatter over what the median says: beyond, rows are no accidents
-GROSS_SCATTER = 0.02  # of the forces: repeats that scatter by more are no drift's doing
-FAR_OUT_FACTOR = 3.0  # times the usual limit, where rows are the tail of what happened to all
+SYSTEMATIC_FRACTION = 0.15  # of the rows of a file: if more are outliers, its labels are checked
+LONG_TAIL_RATIO = 1.08  # of scatter to that by the median: beyond, outliers are a tail
+GROSS_SCATTER = 0.02  # of repeats relative to the forces: more is not a drift
+FAR_OUT_FACTOR = 3.0  # on the usual limit, if outliers are a tail
 
 
 @dataclass(frozen=True, eq=False)
 class ScreenedCampaign:
-    """A campaign whose rows were read once, and those that do not belong left out.
+    """A campaign whose rows were read once, without outliers."""
 
-    Attributes
-    ----------
-    campaign, sound
-        As it was given; with the rows rejected marked as not valid.
-    rejected
-        The rows that lie far from their repeats.
-    moments
-        Of the sound rows; pooled where shapes repeat over loads and signs.
-    structure
-        How well they do; None where nothing tells.
-    suspects
-        Files that are not what they say, readings that freeze.
-    clipped
-        Readings that end at a limit: a fault where the data do not fit.
-    unlike
-        Files that differ in two lots, as those of two mirrors do: a fault where nothing balances.
-    frozen
-        Sensors that read the same in all rows, whose displacement counts as 0.
-    samples
-        (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N], in
-        some parts.
-    """
-
-    campaign: Campaign
-    sound: Campaign
-    rejected: tuple[RejectedRow, ...]
-    moments: Moments
+    campaign: Campaign  # as given
+    sound: Campaign  # with the rejected rows marked as not valid
+    rejected: tuple[RejectedRow, ...]  # rows that differ from their repeats
+    moments: Moments  # of the sound rows; pooled if shapes repeat over loads and signs
+    # parts of (m, n) deviations of some rows from the others of their groups, at weight 1 [N]
     samples: tuple[Array, ...]
-    structure: Structure | None
-    suspects: tuple[Finding, ...] = ()
+    structure: Structure | None  # test of these repeats; None if not possible
+    suspects: tuple[Finding, ...] = ()  # files that are not what they claim, frozen readings
+    # readings that end at a limit: a fault if the data do not fit
     clipped: tuple[Finding, ...] = ()
+    # files that form two groups, as of two mirrors: a fault if nothing balances
     unlike: tuple[Finding, ...] = ()
+    # sensors that read the same in all rows; their displacement is 0
     frozen: tuple[Finding, ...] = ()
 
 
 def screen_campaign(campaign: Campaign, client: Client | None = None) -> ScreenedCampaign:
-    """Read a campaign and leave out rows that lie far from their repeats.
+    """Read a campaign and leave out rows that differ from their repeats.
 
-    FORCE is read once, and once more what stands in the same blocks as rows left out; all of it
-    where the mean of POSITION, or two lone repeats, went with them. With a client its workers read.
+    FORCE is read once, and blocks with removed rows once more; all of it if the mean of POSITION,
+    or two lone repeats, were removed. With a client its workers read.
 
     Raises
     ------
@@ -126,12 +104,17 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
             sums, sound, rejected = _left_out(
                 RepeatSums(campaign, client=client), campaign, accidents=False
             )
-            if refusal is not None and _gross(sums):
+            moments = sums.moments
+            gross = moments.noise > GROSS_SCATTER * np.sqrt(np.mean(moments.mean**2))
+            if refusal is not None and gross:
                 raise refusal
         except TooManyOutliers as error:
             suspects += () if apart else _relabelled(campaign, prints, range(len(campaign)))
             raise naming(error, suspects + clipped) from None
-    suspects += () if apart else _relabelled(campaign, prints, _hit(campaign, rejected))
+    lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign))
+    valid = np.array([cycle.valid.sum() for cycle in campaign.cycles])
+    affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
+    suspects += () if apart else _relabelled(campaign, prints, affected)
     noise = reading_noise(sound, sums.moments)
     moments, frozen = sums.moments, tuple[Finding, ...]()
     if (displacement := sums.displacement()) is not None:
@@ -159,21 +142,14 @@ def _require_stored(campaign: Campaign) -> None:
 
 
 def _relabelled(campaign: Campaign, prints: RowPrints, files: Sequence[int]) -> tuple[Finding, ...]:
-    """Say why rows of some files lie far from their repeats: their labels, or the files' origin."""
+    """Return why rows of some files differ: their labels, or the origin of the files."""
     if not files:
         return ()
     return mislabelled_rows(campaign, files) or unlike_files(campaign, prints)
 
 
-def _hit(campaign: Campaign, rejected: list[RejectedRow]) -> list[int]:
-    """Return the files that lost more rows than accidents take."""
-    lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign.cycles))
-    rows = [int(cycle.valid.sum()) for cycle in campaign.cycles]
-    return np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * np.array(rows))).tolist()
-
-
 def naming(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNewtonError:
-    """Return a refusal that names what is suspected of being its cause."""
+    """Return an error that names the suspected cause."""
     if not suspects:
         return error
     what = "; ".join(f"{effect.name}: {effect.where}" for effect in suspects)
@@ -189,7 +165,7 @@ def naming(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNewtonErr
 def _left_out(
     sums: RepeatSums, campaign: Campaign, *, accidents: bool
 ) -> tuple[RepeatSums, Campaign, list[RejectedRow]]:
-    """Leave out rows that lie far from their repeats, as accidents do or out of long tails."""
+    """Leave out outliers, as accidents or as a tail."""
     rejected = list[RejectedRow]()
     while worst := _leave_out_worst(sums, accidents=accidents):
         rejected += worst
@@ -202,7 +178,7 @@ def _left_out(
 
 
 def _tails(sums: RepeatSums) -> float:
-    """Return how much more rows scatter than their median says; 1 of a normal distribution."""
+    """Return the scatter of rows over that by the median; 1 of a normal distribution."""
     moments = sums.moments
     if moments.repeats < 2:
         return 1.0
@@ -210,22 +186,11 @@ def _tails(sums: RepeatSums) -> float:
     return float(np.median(noise / np.maximum(robust, 1e-300)))
 
 
-def _gross(sums: RepeatSums) -> bool:
-    """Tell whether rows scatter as no drift makes them: by some per cent of their forces."""
-    moments = sums.moments
-    return bool(moments.noise > GROSS_SCATTER * np.sqrt(np.mean(moments.mean**2)))
-
-
 def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
-    """Return the moments of all rows of a campaign that count, whatever they hold.
+    """Return the moments of all valid rows of a campaign or a part of it.
 
-    Parameters
-    ----------
-    campaign
-        The campaign, or a part of it.
-    reference
-        (n,) readings from which displacements count [m]: of a part the `common_reference` of the
-        whole campaign. Where it is NaN, a part must hold whole cycles.
+    ``reference`` is the (n,) zero of displacements [m]: for a part, the `common_reference` of the
+    campaign. If it is NaN, a part must contain whole cycles.
     """
     return RepeatSums(campaign, reference).moments
 
@@ -256,7 +221,7 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
 
 
 def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
-    """Leave out the worst row of each group that has one too far out; both rows of a pair."""
+    """Leave out the worst outlier of each group; both rows of a pair."""
     moments = sums.moments
     if moments.repeats < 2:
         return []
@@ -273,10 +238,10 @@ def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
 
 
 def _noises(sums: RepeatSums) -> tuple[Array, Array]:
-    """Return (n,) noise of a reading from all rows, and from the median; rounding in both.
+    """Return (n,) noise of a reading from all rows, and from the median; both with rounding.
 
-    Where repeats tend to one step, those of the next one are no accidents, and a median is none of
-    noise but of steps.
+    If most repeats have the same rounding step, those of the next one are not outliers, and a
+    median does not measure noise.
     """
     moments = sums.moments
     scatter, robust = moments.scatter / moments.repeats, _robust(sums.samples)
@@ -285,8 +250,8 @@ def _noises(sums: RepeatSums) -> tuple[Array, Array]:
 
 
 def _robust(samples: Sequence[Array]) -> Array:
-    """Return (n,) noise of a reading that an actuator's spikes cannot swell: from the median."""
-    stride = max(1, sum(map(len, samples)) // MEDIAN_ROWS)
+    """Return (n,) noise of a reading from the median, which an actuator's spikes do not affect."""
+    stride = max(1, sum(map(len, samples)) // 200)  # which give the noise to 8 %
     some = np.concatenate([sample[::stride] for sample in samples]).T
     ordered = np.sort(np.abs(some))  # faster than np.median
     count = ordered.shape[1]
@@ -295,7 +260,7 @@ def _robust(samples: Sequence[Array]) -> Array:
 
 
 def refuse_too_many(rejected: int, rows: int) -> None:
-    """Refuse a campaign that has lost more rows than can be explained by accidents."""
+    """Refuse a campaign that has lost more rows than accidents explain."""
     if rejected > MAX_REJECTED_FRACTION * rows:
         raise TooManyOutliers(
             f"{rejected} of {rows} rows do not fit their repeats or the balance",
@@ -303,4 +268,99 @@ def refuse_too_many(rejected: int, rows: int) -> None:
             " during the run; or mark the bad rows as not VALID",
             got=rejected / rows,
             want=MAX_REJECTED_FRACTION,
+        )
+
+
+MIN_FROZEN_ROWS = 3  # consecutive, at least
+MIN_FROZEN_FRACTION = 0.1  # of the rows of a file, consecutive
+
+
+def frozen_readings(campaign: Campaign, prints: RowPrints) -> Iterator[Finding]:
+    """Yield readings that do not change from shape to shape in a file, while others do.
+
+    Readings that are constant in all files are those of `checks.constant_actuators`.
+    """
+    whole = [prints.longest[file] == prints.rows(file) - 1 for file in prints.longest]
+    constant = np.logical_and.reduce(whole)
+    for file, longest in sorted(prints.longest.items()):
+        name, still = campaign.cycles[file].name, _stand_still(prints, file)
+        share, frozen = longest / prints.rows(file), np.flatnonzero(still & ~constant)
+        if still.all() and not constant.all():
+            where, size = f"all actuators in {name}", float(share.min())
+            yield Finding(code=Code.FROZEN_READINGS, where=where, size=size)
+        elif frozen.size <= max(1, LIMITS.bad_fraction * still.size):
+            for i in frozen.tolist():
+                where, size = f"{{}} in {name}", float(share[i])
+                yield about_actuators(campaign.layout, Code.FROZEN_READING, [i], where, size=size)
+
+
+def _stand_still(prints: RowPrints, file: int) -> NDArray[np.bool_]:
+    """Return which (n,) readings of a file are frozen, but not at a limit of several."""
+    longest, common = prints.longest[file], _at_common_limit(prints, file)
+    at_limit = common & (np.count_nonzero(common) > 1) & (prints.at_limit[file] > longest)
+    least = max(MIN_FROZEN_ROWS, MIN_FROZEN_FRACTION * prints.rows(file))
+    return np.asarray((longest >= least) & ~at_limit)
+
+
+def _at_common_limit(prints: RowPrints, file: int) -> NDArray[np.bool_]:
+    """Return which (n,) readings of a file reach the largest of all."""
+    limit = prints.limit[file]
+    return np.asarray(limit == limit.max(initial=0.0))
+
+
+def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
+    """Return readings that end at a limit, which several shapes reach to the last bit.
+
+    If the force ends there as well, a limit is no fault: it is one if data do not fit.
+    """
+    clipped, largest = np.zeros(int(campaign.layout.enabled.sum()), dtype=bool), 0.0
+    for file, limit in prints.limit.items():
+        count, common = prints.at_limit[file], _at_common_limit(prints, file)
+        here = (count >= MIN_FROZEN_ROWS) | (common & (count[common].sum() >= MIN_FROZEN_ROWS))
+        here &= (limit > 0.0) & ~_stand_still(prints, file)
+        clipped |= here
+        largest = max(largest, float(limit[here].max(initial=0.0)))
+    if not clipped.any() or _few_valued(prints):
+        return ()
+    where, size = f"{{}}, at {largest:.4g} N", float(clipped.mean())
+    return (about_actuators(campaign.layout, Code.CLIPPED_READINGS, clipped, where, size=size),)
+
+
+def _few_valued(prints: RowPrints) -> bool:
+    """Return whether readings have only few values, as if shapes are commanded in levels."""
+    ordered = np.sort(np.abs(prints.of_first), axis=0)
+    rest = ordered < ordered[-1:]
+    distinct = (np.diff(ordered, axis=0) > 0.0) & rest[1:]
+    return bool(np.median(distinct.sum(axis=0) / np.maximum(rest.sum(axis=0), 1)) < 0.5)
+
+
+def still_sensors(campaign: Campaign) -> NDArray[np.bool_]:
+    """Return which of (files, n) sensors read the same in all rows of a file.
+
+    If all do, none may have been read, which `compare_files` reports.
+    """
+    still = [
+        (cycle.stroke == 0.0)
+        & (cycle.position is not None)
+        & (np.count_nonzero(cycle.valid) >= MIN_FROZEN_ROWS)
+        for cycle in campaign.cycles
+    ]
+    return np.array([each & ~each.all() for each in still])
+
+
+def frozen_sensors(campaign: Campaign) -> Iterator[Finding]:
+    """Yield sensors that read the same in all rows of a file."""
+    still = still_sensors(campaign)
+    for pattern in dict.fromkeys(map(tuple, still.T[still.any(axis=0)].tolist())):
+        files = np.array(pattern)
+        where, remedy = "POSITION of {} is the same in all rows", ""
+        if files.all():
+            remedy = "have its electronics looked at: it counts as if it did not move, and no"
+            remedy += " stiffness can be had of it"
+        else:
+            where += f" of {named_files(campaign, np.flatnonzero(files))}"
+        which = (files == still.T).all(axis=1)
+        size = float(np.mean(files))
+        yield about_actuators(
+            campaign.layout, Code.FROZEN_SENSOR, which, where, size=size, remedy=remedy
         )
