@@ -1,4 +1,4 @@
-"""`truenewton import`: a checked stiffness file and a first answer from other people's files."""
+"""`truenewton import`: a stiffness file or a campaign from files of other software."""
 
 from __future__ import annotations
 
@@ -16,14 +16,20 @@ if TYPE_CHECKING:
 
 
 def run(
-    matrix: Path = typer.Argument(
-        ..., metavar="MATRIX", help="FITS, .npy, CSV or text, HDF5, .mat, .sav; or a folder."
+    matrix: Path | None = typer.Argument(
+        None,
+        metavar="MATRIX",
+        help="FITS, .npy, CSV or text, Excel, HDF5, .mat, .sav; a folder; or the description of a"
+        " campaign (TOML).",
     ),
     coordinates: Path | None = typer.Argument(
         None, metavar="POSITIONS", help="Likewise; or a folder of a supervisor's configuration."
     ),
     output: Path | None = typer.Option(
-        None, "-o", "--output", help="Stiffness file to write (FITS)."
+        None, "-o", "--output", help="Stiffness file (FITS), or folder of a campaign, to write."
+    ),
+    example: bool = typer.Option(
+        False, "--example", help="Print the description of a campaign, with comments."
     ),
     unit: str | None = typer.Option(None, help="Of the matrix, as N/um; 'unknown' for steps."),
     lengths: str | None = typer.Option(None, help="Unit of positions, as mm."),
@@ -45,7 +51,19 @@ def run(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Make a stiffness file from a matrix and positions in other people's files."""
+    """Make a stiffness file, or the cycle files of a campaign, from files of other software."""
+    from truenewton.cli.terminal import say
+
+    if example:
+        from truenewton.importers.campaign import example as description
+
+        say(*description().splitlines())
+        return
+    if matrix is None:
+        raise typer.BadParameter("give a matrix, the description of a campaign, or --example")
+    if matrix.suffix.lower() == ".toml":
+        _campaign(matrix, output, overwrite=overwrite, json=json, quiet=quiet)
+        return
     from truenewton.calibration.summary import summary_values
     from truenewton.cli.terminal import busy, print_result
     from truenewton.estimation.findings.code import Level
@@ -94,6 +112,25 @@ def run(
     first = None if calibration is None else summary_values(calibration)
     as_values = {**values, "found": found, "calibration": first} if json else None
     print_result(lines, output, values=as_values, schema="import", quiet=quiet)
+
+
+def _campaign(path: Path, output: Path | None, *, overwrite: bool, json: bool, quiet: bool) -> None:
+    """Write the cycle files of the campaign that a TOML file describes."""
+    from truenewton.cli.terminal import busy, print_result
+    from truenewton.files.outputs import refuse_existing
+    from truenewton.importers.campaign import campaign_from
+    from truenewton.records.file import write_campaign
+
+    refuse_existing(output, overwrite=overwrite)
+    with busy("importing"):
+        campaign, lines = campaign_from(path)
+        if output is not None:
+            write_campaign(campaign, output, overwrite=overwrite)
+    next_line = () if output is None else (f"  next: truenewton calibrate {output} -o alpha.fits",)
+    values = {"instrument": campaign.instrument, "actuators": campaign.layout.n}
+    values |= {"found": {"cycles": lines[1:]}, "calibration": None}
+    as_values = values if json else None
+    print_result((*lines, *next_line), output, values=as_values, schema="import", quiet=quiet)
 
 
 def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
 import math
 import os
@@ -17,7 +18,8 @@ from truenewton.files.opening import read_text
 from truenewton.rounding import counted
 
 Filled = TypeVar("Filled")
-NAMES = {float: "a number", int: "an integer", str: "text", bool: "true or false"}
+NAMES = {float: "a number", int: "an integer", str: "text", bool: "true or false",
+         datetime.datetime: "a date and time"}  # fmt: skip
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -93,7 +95,8 @@ def _prefix(where: str) -> str:
 
 def _value(kind: Any, value: Any, where: str, above: Sequence[str]) -> Any:
     if get_origin(kind) in (Union, UnionType):
-        kind = next(part for part in get_args(kind) if part is not type(None))
+        kinds = [part for part in get_args(kind) if part is not type(None)]
+        kind = next((part for part in kinds if type(value) is part), kinds[0])
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         if isinstance(value, Mapping):
             return _filled(kind, value, where, above)

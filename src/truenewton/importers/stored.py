@@ -11,6 +11,7 @@ import io
 import os
 import re
 import warnings
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,6 +34,7 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
 LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
 UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
+LOGICAL = {"true": "1", "false": "0"}
 MAX_WORD_COLUMNS = 16  # a table with more columns is a matrix, without columns of words
 
 
@@ -66,9 +68,7 @@ def read_stored(path: str | os.PathLike[str]) -> Stored:
         for magic, read in READERS.items():
             if start.startswith(magic):
                 return read(path)
-        values, columns = read_text(path)
-        arrays = {} if values is None else {"": Item(values)}
-        return Stored(path, arrays, {name: Item(column) for name, column in columns.items()})
+        return _as_stored(path, *table_in(text_of(path)))
     except TrueNewtonError as error:
         raise located(error, path) from None
     except Exception as error:  # libraries raise nearly anything for a damaged file
@@ -115,6 +115,28 @@ def _numpy(path: str) -> Stored:
     return _gathered(path, {"": held} if isinstance(held, np.ndarray) else dict(held))
 
 
+def _zipped(path: str) -> Stored:
+    """Read .npz, or the first sheet of an Excel workbook."""
+    with zipfile.ZipFile(path) as file:
+        if "xl/workbook.xml" not in file.namelist():
+            return _numpy(path)
+    try:
+        import openpyxl
+    except ModuleNotFoundError:
+        remedy = "pip install 'truenewton[excel]', or save it as CSV"
+        raise UnreadableFile("is an Excel workbook, which needs openpyxl", remedy=remedy) from None
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    rows = (["" if cell is None else str(cell) for cell in row] for row in
+            book.worksheets[0].iter_rows(values_only=True))  # fmt: skip
+    values, columns = table_in("\n".join("\t".join(row) for row in rows if any(row)))
+    return _as_stored(path, values, columns)
+
+
+def _as_stored(path: str, values: NDArray[Any] | None, columns: Mapping[str, Any]) -> Stored:
+    arrays = {} if values is None else {"": Item(values)}
+    return Stored(path, arrays, {name: Item(column) for name, column in columns.items()})
+
+
 def _hdf5(path: str) -> Stored:
     h5py = import_h5py(path)
     found: dict[str, Item] = {}
@@ -150,7 +172,7 @@ READERS = {
     START: _fits,
     GZIP: _fits,
     b"\x93NUMPY": _numpy,
-    b"PK\x03\x04": _numpy,
+    b"PK\x03\x04": _zipped,
     b"\x89HDF": _hdf5,
     b"MATLAB": _matlab,
     b"SR\x00": _idl,
@@ -185,13 +207,13 @@ def text_of(path: str | os.PathLike[str]) -> str:
             return raw.decode("latin-1")
 
 
-def read_text(path: str | os.PathLike[str]) -> TextTable:
-    """Return a text file as an array (rows, columns), and its named columns of numbers.
+def table_in(text: str) -> TextTable:
+    """Return a text as an array (rows, columns), and its named columns of numbers.
 
     A type line determines the shape of the array. It is None if a column contains words.
     """
     # A tab may begin an empty cell in the corner, unless every line begins with one.
-    whole = text_of(path).splitlines()
+    whole = text.splitlines()
     if whole and whole[0].startswith(ECSV):  # units in its comments would be lost
         remedy = "give CSV, with units in the names of its columns, as 'x [mm]'"
         raise UnreadableFile("is ECSV", remedy=remedy)
@@ -224,7 +246,9 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
         raise FormatError("holds a header and no numbers", remedy="give its rows")
     if len(_cells(data[0].text, between)) <= MAX_WORD_COLUMNS:
         return _narrow(data, between, names)
-    return _unlabelled(_wide(data, between), bool(names)), {}
+    values = _wide(data, between)
+    named = dict(zip(names, values.T, strict=True)) if len(names) == values.shape[1] else {}
+    return _unlabelled(values, bool(names)), {name: each for name, each in named.items() if name}
 
 
 class Between(NamedTuple):
@@ -248,7 +272,8 @@ def _separators(line: str) -> Between:
 
 def _cells(line: str, between: Between) -> list[str]:
     line = line.replace(",", ".") if between.comma else line
-    return [cell.strip().strip("'\"").strip() for cell in line.split(between.delimiter)]
+    cells = [cell.strip().strip("'\"").strip() for cell in line.split(between.delimiter)]
+    return [LOGICAL.get(cell.lower(), cell) for cell in cells]
 
 
 def _has_number(line: str, between: Between) -> bool:

@@ -121,7 +121,7 @@ def cycles_in_table(
             with naming(f"load '{load.name}', cycle {k}"):
                 some = mine & (number == k)
                 one = {name: column[some] for name, column in values.items()}
-                found[load].append({"number": int(k), **_wide(one, actuators)})
+                found[load].append({"number": int(k), **wide_rows(one, actuators)})
     return found
 
 
@@ -131,8 +131,11 @@ def _unit(unit: str) -> Any:
     return u.Unit(unit)
 
 
-def _wide(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str, Any]:
-    """Return the arrays of one cycle of a long table: rows in the order in which they begin."""
+def wide_rows(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str, Any]:
+    """Return the arrays of one cycle, (rows, n) forces, of a table with (m,) readings.
+
+    Rows are in the order of their first readings.
+    """
     at = {name: k for k, name in enumerate(actuators.id.tolist())}
     if unknown := set(values["actuator"].tolist()) - set(at):
         raise FormatError(f"there is no actuator {listed(sorted(unknown), 3)}", remedy="check IDs")

@@ -1,0 +1,237 @@
+"""A campaign in files of other software, which a short TOML file describes (campaign.toml)."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from dataclasses import dataclass, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import astropy.units as u
+import numpy as np
+
+from truenewton.errors import FormatError, naming
+from truenewton.files.toml import filled, read_toml
+from truenewton.importers.selection import Surface, in_metres, read_positions, there_is
+from truenewton.importers.stored import Item, Stored, read_stored
+from truenewton.quantities import in_unit
+from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
+from truenewton.records.tables import wide_rows
+from truenewton.statics.layout import Layout, layout
+from truenewton.statics.load import Load
+
+GRADIENTS = ("coil_gradient", "bias_gradient")
+MATRICES = ("force", "position")  # with a value for each actuator
+
+
+@dataclass(frozen=True)
+class PositionsFile:
+    """Where the actuators are; ``unit`` of the file, ``curvature`` and ``arc`` as of `Surface`."""
+
+    file: str
+    unit: str = ""
+    curvature: float | None = None
+    arc: bool = False
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Names of columns, or their numbers from 1; '' if there is no such column."""
+
+    shape: str | int = "shape"
+    sign: str | int = "sign"
+    force: str | int = "force"
+    position: str | int = ""
+    time: str | int = ""
+    temperature: str | int = ""
+    valid: str | int = ""
+    actuator: str | int = ""
+    row: str | int = ""
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of columns, if the files do not declare them."""
+
+    force: str = "N"
+    position: str = "m"
+    time: str = "s"
+    temperature: str = "deg_C"
+
+
+@dataclass(frozen=True)
+class LoadFiles:
+    """A load, with weights as `Load` or as texts with a unit, and the file of each cycle."""
+
+    name: str
+    files: tuple[str, ...]
+    added: float | str = 0.0
+    added_error: float | str = 0.0
+    tool: str | None = None
+    tilt: float = 0.0
+    tilt_error: float = 0.0
+
+
+@dataclass(frozen=True)
+class CampaignFiles:
+    """The files of a campaign, and what they do not contain."""
+
+    instrument: str
+    weight: float | str
+    weight_error: float | str
+    positions: PositionsFile
+    loads: tuple[LoadFiles, ...]
+    columns: Columns = Columns()
+    units: Units = Units()
+    date: datetime.datetime | None = None
+    gap: float | None = None
+    force_error: float | None = None
+    coil_gradient: float | None = None
+    bias_gradient: float | None = None
+
+
+def example() -> str:
+    """Return a description with comments, to start from."""
+    return resources.files("truenewton.importers").joinpath("campaign.toml").read_text("utf-8")
+
+
+def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ...]]:
+    """Return the campaign that a TOML file describes, and a line on each of its files.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, GeometryError, CampaignMismatch
+    """
+    described = filled(CampaignFiles, read_toml(path), path)
+    folder = Path(path).parent
+    actuators = _layout_from(folder, described.positions)
+    with naming(path):
+        loads = [_load_of(one) for one in described.loads]
+        weight, error = (_weight(getattr(described, n), n) for n in ("weight", "weight_error"))
+        more = {n: getattr(described, n) for n in ("gap", "force_error", *GRADIENTS)}
+    runs: dict[Load, list[dict[str, Any]]] = {}
+    lines = [f"{described.instrument}: {actuators.n} actuators, from {described.positions.file}"]
+    for load, files in zip(loads, described.loads, strict=True):
+        cycles = runs.setdefault(load, [])
+        for name in files.files:
+            with naming(folder / name):
+                arrays = _arrays_from(read_stored(folder / name), described, actuators)
+            cycles.append(arrays)
+            largest = np.nanmax(np.abs(arrays["force"]))
+            rows = len(arrays["force"])
+            lines.append(
+                f"  {load.name} {len(cycles):<4}{rows} rows, forces up to {largest:.3g} N: {name}"
+            )
+    with naming(path):
+        made = Campaign.from_arrays(
+            described.instrument, actuators, weight, error, runs,
+            date=_date(described, folder), **more,
+        )  # fmt: skip
+    return made, tuple(lines)
+
+
+def _layout_from(folder: Path, given: PositionsFile) -> Layout:
+    """Return the layout in a file of positions."""
+    path = folder / given.file
+    with naming(path):
+        found = read_positions(path)
+        at = in_metres(found, Surface(given.unit or None, given.curvature, given.arc))
+        return layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled)
+
+
+def _date(described: CampaignFiles, folder: Path) -> datetime.datetime:
+    """Return the date of the campaign, or that of its first file (UTC)."""
+    if described.date is not None:
+        return described.date.replace(tzinfo=described.date.tzinfo or datetime.UTC)
+    first = folder / described.loads[0].files[0]
+    return datetime.datetime.fromtimestamp(int(first.stat().st_mtime), tz=datetime.UTC)
+
+
+def _weight(value: float | str, name: str) -> Any:
+    """Return a weight as a number [N] or a Quantity."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return u.Quantity(value)
+    except (TypeError, ValueError):
+        remedy = "give a force or a mass with its unit, as '45 g' or '-0.44 N'"
+        raise FormatError(f"{name} is '{value}'", remedy=remedy, got=value) from None
+
+
+def _load_of(given: LoadFiles) -> Load:
+    """Return the load of some files."""
+    if not given.files:
+        raise FormatError(f"load '{given.name}' has no files", remedy="give a file for each cycle")
+    weights = {name: _weight(getattr(given, name), name) for name in ("added", "added_error")}
+    return Load(
+        given.name, **weights, tool=given.tool, tilt=given.tilt, tilt_error=given.tilt_error
+    )
+
+
+def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) -> dict[str, Any]:
+    """Return the arrays of the cycle in a file."""
+    columns, values = described.columns, dict[str, Any]()
+    for name in (field.name for field in fields(Columns)):
+        wanted = getattr(columns, name)
+        if not wanted:
+            continue
+        if name in MATRICES and not columns.actuator:
+            item = _matrix_in(stored, wanted, actuators)
+        else:
+            item = _column_in(stored, wanted)
+        unit = item.unit or getattr(described.units, name, "")
+        kind = Cycle.QUANTITIES.get(name)
+        with_unit = u.Quantity(item.values, unit) if unit and kind is not None else item.values
+        values[name] = in_unit(with_unit, kind.unit, name) if kind is not None else with_unit
+    if "valid" in values:
+        values["valid"] = values["valid"] != 0.0
+    for name in ("shape", "sign"):
+        if not np.array_equal(values[name], np.round(values[name])):
+            raise FormatError(f"{name.upper()} is not an integer in each row", remedy="check it")
+    return wide_rows(values, actuators) if columns.actuator else values
+
+
+def _named(stored: Stored) -> dict[str, Item]:
+    """Return columns and arrays by their names, also without the groups of HDF5, in lower case."""
+    every = {**stored.arrays, **stored.columns}
+    short = {name.lower().rsplit("/", 1)[-1]: item for name, item in every.items()}
+    return {**short, **{name.lower(): item for name, item in every.items()}}
+
+
+def _column_in(stored: Stored, wanted: str | int) -> Item:
+    """Return a column by its name or number."""
+    if isinstance(wanted, int):
+        return Item(_table(stored, wanted)[:, wanted - 1])
+    item = _named(stored).get(wanted.lower())
+    if item is None:
+        raise FormatError(f"there is no column '{wanted}'", remedy=f"check it; {there_is(stored)}")
+    return Item(np.squeeze(item.values), item.unit)
+
+
+def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout) -> Item:
+    """Return (rows, n) values: columns from a number on, columns of each actuator, or an array."""
+    n = actuators.n
+    if isinstance(wanted, int):
+        return Item(_table(stored, wanted + n - 1)[:, wanted - 1 : wanted - 1 + n])
+    if "{id}" in wanted:
+        items = [_column_in(stored, wanted.replace("{id}", str(i))) for i in actuators.id.tolist()]
+        return Item(np.stack([item.values for item in items], axis=1), items[0].unit)
+    item = _column_in(stored, wanted)
+    if item.values.ndim != 2 or item.values.shape[1] != n:
+        raise FormatError(
+            f"'{wanted}' has shape {item.values.shape}",
+            remedy=f"give an array of rows by {n} actuators, or the name of columns, as 'F{{id}}'",
+        )
+    return item
+
+
+def _table(stored: Stored, last: int) -> Any:
+    """Return the numbers of a text file or array that has at least so many columns."""
+    tables = [item.values for item in stored.arrays.values() if item.values.ndim == 2]
+    if len(tables) != 1 or tables[0].shape[1] < last:
+        has = f"has {tables[0].shape[1]} columns" if len(tables) == 1 else "is not one table"
+        raise FormatError(f"{has}, and column {last} is needed", remedy=there_is(stored))
+    return tables[0]

@@ -1,0 +1,93 @@
+"""`truenewton import campaign.toml`: cycles in files of other software become cycle files."""
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+
+import truenewton as tn
+from helpers.balanced import campaign_of
+from truenewton.importers.campaign import example
+
+CAMPAIGN = campaign_of(seed=3, noise=1e-4)[0]
+IDS = CAMPAIGN.layout.id
+DEFAULT = 'force = "F{id}"'
+
+
+def written(folder, ending, changes):
+    """Write the files of a campaign and its description, with changes; return the latter."""
+    layout = CAMPAIGN.layout
+    positions = {"ID": layout.id, "x [mm]": 1e3 * layout.x, "y [mm]": 1e3 * layout.y}
+    pd.DataFrame(positions | {"NZ": layout.nz}).to_csv(folder / "positions.csv", index=False)
+    for cycle in CAMPAIGN:
+        path = folder / f"{cycle.load.name}-{cycle.number}.{ending}"
+        millinewtons = pd.DataFrame(1e3 * cycle.force, columns=[f"F{i}" for i in IDS])
+        table = pd.DataFrame({"shape": cycle.shape, "sign": cycle.sign})
+        wide = pd.concat([table, millinewtons], axis=1)
+        if ending == "csv":
+            wide.to_csv(path, sep=";", decimal=",", index=False)
+        elif ending == "xlsx":
+            wide.assign(good=True).to_excel(path, index=False)
+        elif ending == "txt":
+            np.savetxt(path, wide)
+        elif ending == "h5":
+            with h5py.File(path, "w") as file:
+                file["run/shape"], file["run/sign"] = cycle.shape, cycle.sign
+                file["run/FORCE"] = cycle.force
+                file["run/FORCE"].attrs["unit"] = "N"
+        else:
+            long = wide.melt(["shape", "sign"], var_name="name", value_name="f")
+            long["coil"] = long.name.str[1:].astype(int)
+            long.to_csv(path, index=False)
+    text = example().replace('"298 g"', str(CAMPAIGN.weight)).replace("29.5 g", "-0.289 N")
+    for load in CAMPAIGN.loads:
+        for k in (1, 2):
+            text = text.replace(f"{load.name}-{k}.csv", f"{load.name}-{k}.{ending}")
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "campaign.toml").write_text(text)
+    return folder / "campaign.toml"
+
+
+@pytest.mark.parametrize(
+    ("ending", "changes"),
+    [
+        ("csv", {}),
+        ("xlsx", {DEFAULT: DEFAULT + '\nvalid = "good"'}),
+        ("h5", {DEFAULT: 'force = "FORCE"'}),
+        (
+            "txt",
+            {'shape = "shape"': "shape = 1", 'sign = "sign"': "sign = 2", DEFAULT: "force = 3"},
+        ),
+        ("long.csv", {DEFAULT: 'force = "f"\nactuator = "coil"'}),
+    ],
+)
+def test_files_of_a_campaign_become_cycle_files(tmp_path, inside, ending, changes):
+    path = written(tmp_path, ending, changes)
+    code, out, error = inside("import", path, "-o", tmp_path / "made")
+    assert (code, error) == (0, "")
+    assert "MIRROR: 14 actuators" in out
+    made = tn.read(tmp_path / "made")
+    for one, other in zip(made, CAMPAIGN, strict=True):
+        np.testing.assert_allclose(one.force, other.force, rtol=1e-12)
+        assert np.array_equal(one.sign * one.shape, other.sign * other.shape)
+    assert made.weight == CAMPAIGN.weight
+    assert made.layout.same_as(CAMPAIGN.layout)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"-0.289 N"', "0.289", "load 'ring': ADDED is 0.289 N; z points up"),
+        ('"-0.289 N"', '"29 parrots"', "added is '29 parrots'; give a force or a mass with its"),
+        ("F{id}", "G{id}", "bare-1.csv: there is no column 'G1'; check it; there is"),
+        ("F{id}", "shape", "'shape' has shape (28,); give an array of rows by 14 actuators, or"),
+        ("added_error", "added_errors", "'added_errors'; did you mean 'added_error'?"),
+        ('files = ["bare-1.csv", "bare-2.csv"]', "files = []", "load 'bare' has no files"),
+    ],
+)
+def test_what_is_wrong_with_a_description_is_said_in_one_line(tmp_path, inside, old, new, words):
+    code, _, error = inside("import", written(tmp_path, "csv", {old: new}))
+    assert code == 2
+    assert words in error
