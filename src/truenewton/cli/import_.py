@@ -64,9 +64,7 @@ def run(
     if matrix.suffix.lower() == ".toml":
         _campaign(matrix, output, overwrite=overwrite, json=json, quiet=quiet)
         return
-    from truenewton.calibration.summary import summary_values
-    from truenewton.cli.terminal import busy, print_result
-    from truenewton.estimation.findings.code import Level
+    from truenewton.cli.terminal import busy
     from truenewton.files.outputs import refuse_existing
     from truenewton.importers.importing import stiffness_from
     from truenewton.mirrors.file import mirror_from
@@ -95,6 +93,17 @@ def run(
         )
         if output is not None:
             write_stiffness(made.matrix, output, overwrite=overwrite)
+    _print_matrix(made, output, transpose=transpose, json=json, quiet=quiet)
+
+
+def _print_matrix(
+    made: Imported, output: Path | None, *, transpose: bool, json: bool, quiet: bool
+) -> None:
+    """Print what was found of a matrix, a first answer unless quiet, and the next command."""
+    from truenewton.calibration.summary import summary_values
+    from truenewton.cli.terminal import print_result
+    from truenewton.estimation.findings.code import Level
+
     if quiet and not json:
         print_result((), output, quiet=True)
         return
