@@ -207,26 +207,23 @@ def calibrate(
     Parameters
     ----------
     data
-        A campaign under at least two loads, or a measured stiffness matrix (relative
-        alpha), or a path, paths or cycles. Each segment of a segmented mirror is
-        calibrated by itself.
+        A campaign under at least two loads, or a measured stiffness matrix (relative alpha), or a
+        path, paths or cycles. Each segment of a segmented mirror is calibrated by itself.
     method
         'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which uses the
         readings of the sensors; 'auto', reciprocity if it is accepted, otherwise
         'ml', with the reason in the verdict. By default 'auto' for a matrix and with
         ``motion``, otherwise 'ml' (docs/decisions.md, 21).
     population
-        Take the actuators as samples of one normal population of unknown spread,
-        which pulls poorly determined patterns toward the mean. With 'ml' only; the
-        result names it.
+        Take the actuators as samples of one normal population of unknown spread, which pulls poorly
+        determined patterns toward the mean. With 'ml' only; the result names it.
     motion
         (6, n, n) what the sensors read of the glass, from `sensor_model`; or (n, n)
         displacements at the forces for those at the sensors; for several segments
         also {number: that of each}. With 'reciprocity' and 'auto' only.
     exclude
-        IDs of actuators without alpha, such as channels that are known to be bad.
-        Those of a matrix are released: the others are taken in states in which these
-        exert no force.
+        IDs of actuators without alpha, such as channels that are known to be bad. Those of a matrix
+        are released: the others are taken in states in which these exert no force.
     client
         A `dask.distributed.Client`, which ``read`` was given as well (docs/campaign.md).
     processes
@@ -236,8 +233,7 @@ def calibrate(
     Raises
     ------
     RankDeficient
-        The data cannot determine alpha, of no segment; the message says what is
-        missing.
+        The data cannot determine alpha, of no segment; the message says what is missing.
     TooManyOutliers, NotConverged
         The data do not fit together.
     UnknownName, TypeError
