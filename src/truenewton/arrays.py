@@ -39,15 +39,10 @@ def jsonable(value: Any) -> Any:
 
 
 def freeze(record: object, *names: str, dtype: Any = np.float64) -> None:
-    """Make fields of a new frozen dataclass read-only, contiguous arrays of one type.
+    """Make arrays of a new frozen dataclass read-only, contiguous and of one type.
 
-    Anything that `numpy.asarray` accepts becomes an array: columns of pandas, polars, xarray and
-    astropy, too. Arrays that are read-only and of this type are not copied.
-
-    Raises
-    ------
-    FormatError
-        One of them has a unit, is masked, or is not numbers.
+    They are copied unless they are that already. Raises `FormatError` if one of them has a unit, or
+    is masked: neither would be kept.
     """
     for name in names:
         given = getattr(record, name)

@@ -27,12 +27,9 @@ Client = Any  # a `dask.distributed.Client`
 def each(
     function: Callable[[Item], Own], items: Iterable[Item], client: Client | None = None
 ) -> Iterator[Own]:
-    """Yield the result of a function for each item, in order.
+    """Yield the result of a function for each item, in order; raise the first error of a function.
 
-    Raises
-    ------
-    ClusterFailed
-        The workers cannot do it. What the function raises is raised, the first in order.
+    Raises `ClusterFailed` if the workers cannot do it.
     """
     if client is None:
         yield from map(function, items)
@@ -51,18 +48,8 @@ def divided(
 ) -> Shared:
     """Return the sum of the second results of a function, and pass each first result to ``take``.
 
-    Parameters
-    ----------
-    function
-        Returns two results for an item.
-    take
-        Gets each first result, in order.
-    add
-        Adds two second results; on workers as a tree, so that few results are transferred.
-
-    Raises
-    ------
-    ClusterFailed
+    ``function`` returns two results for an item, ``take`` gets the first ones in order, and ``add``
+    adds two second ones; on workers as a tree, so that few results are transferred.
     """
     if client is None:
         total: Shared | None = None
@@ -109,10 +96,7 @@ def _result(future: Any) -> Any:
 def connected(address: str | None) -> Iterator[Client | None]:
     """Connect to the scheduler at an address like tcp://host:8786; None without an address.
 
-    Raises
-    ------
-    ClusterFailed
-        No scheduler answers, or dask is not installed.
+    Raises `ClusterFailed` if no scheduler answers, or dask is not installed.
     """
     if address is None:
         yield None

@@ -73,17 +73,12 @@ def smallest_eigenvalue(
 ) -> tuple[float, Array]:
     """Return the smallest eigenvalue of a symmetric (n, n) matrix, to 1e-3, and its vector.
 
-    Davidson's method (J. Comput. Phys. 17, 87, 1975; without an approximate inverse, Lanczos): the
-    residual of the best vector, times about the inverse, extends the space that is searched. It
-    stops when the residual is below 1e-3 of the eigenvalue; the error is its square for the
-    smallest eigenvalue. A full decomposition would cost more than a calibration.
-
-    Parameters
-    ----------
-    times, n
-        Multiplies (n,) vectors, or the columns of a matrix, by the matrix; its order.
-    nearly_solved
-        Multiplies (n,) vectors by about the inverse, up to a factor.
+    ``times`` multiplies vectors, or the columns of a matrix, by the matrix; ``nearly_solved``
+    multiplies vectors by about the inverse, up to a factor. Davidson's method (J. Comput. Phys. 17,
+    87, 1975; without an approximate inverse, Lanczos): the residual of the best vector, times about
+    the inverse, extends the space that is searched. It stops when the residual is below 1e-3 of the
+    eigenvalue; the error is its square for the smallest eigenvalue. A full decomposition would cost
+    more than a calibration.
     """
     most = min(n, MOST_STEPS)
     basis, images = np.empty((most, n)), np.empty((most, n))
@@ -207,11 +202,7 @@ def inverse_of_positive(matrix: Array, *, overwrite: bool = False) -> Array:
 
     With ``overwrite`` in its place. Rows and columns are scaled to a unit diagonal first, so that
     units do not matter (van der Sluis, Numer. Math. 14, 14, 1969: no other scale does much better).
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        It is not positive definite.
+    Raises `numpy.linalg.LinAlgError` if it is not positive definite.
     """
     if not (np.diag(matrix) > 0.0).all():
         raise np.linalg.LinAlgError("an element of the diagonal is not positive")
@@ -257,12 +248,8 @@ def least_squares(matrix: Array, right: Array) -> LeastSquares:
     """Minimise the length of right - matrix @ values, of (m, p) and (m,), m >= p.
 
     Householder's QR of the columns at unit length: the condition is not squared as in the normal
-    equations (Golub and Van Loan, Matrix Computations, section 5.3).
-
-    Raises
-    ------
-    RankDeficient
-        A column is a combination of the others.
+    equations (Golub and Van Loan, Matrix Computations, section 5.3). Raises `RankDeficient` if a
+    column is a combination of the others.
     """
     length = np.sqrt(np.sum(matrix**2, axis=0))
     length[length == 0.0] = 1.0  # of a column of zeros, whose diagonal in r is 0

@@ -125,4 +125,4 @@ def test_a_calibration_without_temperature_is_taken_and_said(inside, written, tm
     assert "Not all temperatures are known" in out
     code, _, err = inside("track", tmp_path / "cold.fits", written / "calibration-1.fits")
     assert code == 2
-    assert "cold.fits: holds no temperature" in err
+    assert "cold.fits: has no temperature" in err

@@ -289,7 +289,7 @@ def test_what_cannot_be_tracked_is_refused():
     refused(CampaignMismatch, "of OTHER", one, dataclasses.replace(two, instrument="OTHER"))
     elsewhere = dataclasses.replace(two.layout, x=two.layout.x + 1e-3)
     refused(CampaignMismatch, "other actuators", one, dataclasses.replace(two, layout=elsewhere))
-    refused(FormatError, "holds no temperature", one, dataclasses.replace(two, temperature=np.nan))
+    refused(FormatError, "has no temperature", one, dataclasses.replace(two, temperature=np.nan))
     refused(FormatError, "relative to its mean", one, dataclasses.replace(two, scale="mean 1"))
     refused(FormatError, "earlier calibration", one, dataclasses.replace(two, scale="given"))
     source = (Source("a.fits", "f" * 64, 1, 0),)

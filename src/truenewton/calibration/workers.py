@@ -48,10 +48,7 @@ class Processes:
     def map(self, fn: Callable[..., Answer], *iterables: Iterable[Any]) -> Iterator[Answer]:
         """Yield the results of a function in the order of the items; raise its exceptions.
 
-        Raises
-        ------
-        ChildProcessError
-            A process ended without a result.
+        Raises `ChildProcessError` if a process ended without a result.
         """
         running: set[subprocess.Popen[bytes]] = set()
         guard, stopped = threading.Lock(), threading.Event()

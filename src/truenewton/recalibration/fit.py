@@ -1,6 +1,6 @@
 """`recalibrate`: a short run after actuators were replaced, with the earlier calibration as prior.
 
-The prior holds all actuators that were not replaced, and with them the scale, so that one load
+The prior constrains all actuators that were not replaced, and with them the scale, so that one load
 suffices. B and the torques are free, since the bias magnet is part of the actuator. The error of
 the earlier scale stays common to all (`prior.shared_errors`).
 """
@@ -236,12 +236,7 @@ def _find_moved(
     """Release actuators that moved, the worst first, and return the fit in which they are free.
 
     Also (n,) those that are still held, the outliers, and the residuals of the prior as it was
-    given.
-
-    Raises
-    ------
-    RankDeficient
-        Too many moved, or all by too much.
+    given. Raises `RankDeficient` if too many moved, or all by too much.
     """
     ids = problem.campaign.layout.id[problem.campaign.layout.enabled]
     moved: list[Outlier] = []

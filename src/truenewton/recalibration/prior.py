@@ -98,11 +98,7 @@ class PriorCalibration:
 def prior_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> PriorCalibration:
     """Return the prior for a campaign; a law is taken at its temperature and date.
 
-    Raises
-    ------
-    NotToBeUsed
-        It is rejected, and ``force`` is not set.
-    UnreadableFile, FormatError, CampaignMismatch, RankDeficient
+    Raises `NotToBeUsed` if it is rejected, unless ``force``.
     """
     name, given = known_for(known, campaign)
     n = given.layout.n
@@ -347,7 +343,7 @@ def prior_residuals(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_])
     information = prior.information[at]
     apart = (minimum.values - prior.mean)[:n][stay]
     root = scipy.linalg.cholesky(information, lower=True)
-    # In units of the prior: variances 0 (the run says nothing) to 1 (it says all).
+    # In units of the prior: variances from 0 (no information in the run) to 1.
     inverse = root.T @ inverse_of(problem, minimum)[:n, :n][at] @ root
     by_weights = minimum.changes[:n][stay]
     spread = root.T @ (minimum.reading_covariance[:n, :n][at] + by_weights @ by_weights.T) @ root

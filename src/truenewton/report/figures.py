@@ -38,7 +38,7 @@ from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowRes
 from truenewton.report.layers import calibration_layers
 from truenewton.rounding import percent
 
-POINTS = 200  # of a cycle over time; more cannot be told apart
+MAX_POINTS = 200  # of a cycle over time; more cannot be distinguished
 MAPS = (  # written; that of alpha is the paper's
     "map-e-stat",
     "map-leverage",
@@ -201,6 +201,6 @@ def _times(cycle: Cycle) -> tuple[NDArray[Any], Array | None]:
     """Return at most 200 times (UTC) and temperatures [deg C] of a cycle."""
     valid = np.flatnonzero(cycle.valid)
     valid = valid[np.argsort(cycle.time[valid], kind="stable")]
-    some = valid[np.linspace(0, valid.size - 1, min(valid.size, POINTS)).round().astype(int)]
+    some = valid[np.linspace(0, valid.size - 1, min(valid.size, MAX_POINTS)).round().astype(int)]
     time = np.array([cycle.date + datetime.timedelta(seconds=t) for t in cycle.time[some].tolist()])
     return time, None if cycle.temperature is None else cycle.temperature[some]

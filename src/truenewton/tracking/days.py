@@ -44,7 +44,7 @@ class Days(InParts[list[Named]]):
 
 Given = Calibration | Campaign | Parts[Calibration] | SegmentedData | Named | str | os.PathLike[str]
 ONE_MIRROR = "track one mirror at a time"
-SAME_TEMPERATURE = 1.0  # [K]; cycles of a campaign farther apart are calibrated apart
+SAME_TEMPERATURE = 1.0  # [K]; cycles that differ by more are calibrated separately
 # Typical change of alpha beyond its error, of another unit: 50 K make 0.3 % between actuators.
 OTHER_UNIT = 0.03
 YEAR = datetime.timedelta(days=365.25)
@@ -82,20 +82,14 @@ def of_one(given: Iterable[Given], segment: int | None) -> list[Named]:
 
 
 def of_all(days: Sequence[Named]) -> Days:
-    """Return the days of all segments.
-
-    Raises
-    ------
-    FormatError, CampaignMismatch
-        Some are of one body, or of another mirror.
-    """
+    """Return the days of all segments; raise an error for one body, or for another mirror."""
     first = next(day for day in days if has_parts(day.data))
     mirror: InParts[Any] = first.data  # type: ignore[assignment]
     for name, data in days:
         if not has_parts(data):
             raise FormatError(
-                "is of one body, where others have several segments",
-                remedy=f"give what holds all segments, as {first.name} does, or choose one:"
+                "is of one body, and others have several segments",
+                remedy=f"give files with all segments, as {first.name}, or choose one:"
                 " --segment, or track(..., segment=) in Python",
                 path=name,
             )
@@ -106,12 +100,7 @@ def of_all(days: Sequence[Named]) -> Days:
 def gather_days(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
     """Return the calibrations in order of time; cycles are calibrated first.
 
-    Raises
-    ------
-    UnreadableFile, FormatError, CampaignMismatch, RankDeficient
-        Files that cannot be tracked, or not together.
-    NotToBeUsed
-        One of them is rejected, and ``force`` is not set.
+    Calibrations that are rejected (unless ``force``) or do not belong together raise an error.
     """
     days = sorted(
         (day for item in given for day in _dated(*named(item))),
@@ -125,7 +114,7 @@ def gather_days(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCa
     without = [day for day in days if not np.isfinite(day.calibration.temperature)]
     if without and len(without) < len(days):
         raise FormatError(
-            "holds no temperature, though others do",
+            "has no temperature, and others do",
             remedy="leave it out, or record TEMPERATURE",
             path=without[0].name,
         )
@@ -181,18 +170,18 @@ def _refuse_relative(day: DatedCalibration) -> None:
     c = day.calibration
     if c.scale == Scale.MEAN_ONE:
         raise FormatError(
-            "gives alpha relative to its mean, in which what is common to all is lost",
+            "gives alpha relative to its mean, without what is common to all",
             remedy="give calibrations whose scale comes from weights",
             path=day.name,
         )
     if c.scale == Scale.GIVEN or "recalibrated" in c.method:
         raise FormatError(
-            "was made with an earlier calibration, which it holds over again",
+            "contains an earlier calibration, which would count twice",
             remedy="give the campaigns themselves, or full calibrations",
             path=day.name,
         )
     if not np.isfinite(c.covariance[np.ix_(*[np.flatnonzero(c.layout.enabled)] * 2)]).all():
-        raise FormatError("COVARIANCE holds no numbers", remedy="calibrate again", path=day.name)
+        raise FormatError("COVARIANCE contains no numbers", remedy="calibrate again", path=day.name)
 
 
 def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None:
@@ -208,7 +197,7 @@ def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None
 
 
 def covariances(calibration: Calibration, on: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the statistical and the systematic covariance of alpha of the actuators ``on``."""
+    """Return statistical and systematic (m, m) covariance of alpha of the m actuators ``on``."""
     at = np.ix_(np.flatnonzero(on), np.flatnonzero(on))
     systematic_covariance = calibration.systematic_covariance[at]
     return calibration.covariance[at] - systematic_covariance, systematic_covariance

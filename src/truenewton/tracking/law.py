@@ -357,7 +357,14 @@ TRACKING = FileFormat(
 
 
 def read_tracking(path: str | os.PathLike[str], *, segment: int | None = None) -> Tracking:
-    """Read a tracking file, as `Tracking.write` writes it; ``segment`` selects one of several.
+    """Read a tracking file.
+
+    Parameters
+    ----------
+    path
+        As `Tracking.write` wrote it.
+    segment
+        Number of one segment, which is returned alone.
 
     Raises
     ------

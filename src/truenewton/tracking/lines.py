@@ -93,7 +93,7 @@ class RelativeDays:
 def relative_days(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
 ) -> RelativeDays:
-    """Return the days relative to their mean alpha, of the actuators ``on``.
+    """Return the days relative to their mean alpha, of (n,) actuators ``on``.
 
     Errors of weights are a mean of the days that share them, relative to alpha, so that they do not
     contain the noise of single days. They multiply the fitted law for the same reason.
@@ -140,12 +140,8 @@ def linear_fit(days: RelativeDays, scatter: Array, common: float = 0.0) -> Linea
     """Fit the lines of all actuators at once.
 
     ``scatter`` is the (n,) relative standard deviation of each actuator about its line beyond the
-    readings, ``common`` that of all together.
-
-    Raises
-    ------
-    RankDeficient
-        The settings do not separate the effects.
+    readings, ``common`` that of all together. Raises `RankDeficient` if the settings do not
+    separate the effects.
     """
     y, change, mean = days.values, days.changes, days.mean[0]
     (count, n), q, errors = y.shape, days.settings.shape[1], change.shape[2]
@@ -244,11 +240,7 @@ def maximise_likelihood(
     """Return the (q,) variances >= 0 that maximise a likelihood, and their (q, q) information.
 
     ``likelihood`` returns the logarithm, its derivatives and the information; ``unit`` are (q,)
-    large variances.
-
-    Raises
-    ------
-    NotConverged
+    large variances. Raises `NotConverged`.
     """
     variance = start
     value, score, information = likelihood(variance)
@@ -273,18 +265,10 @@ def maximise_likelihood(
 def estimate_scatter(
     y: Array, covariance: Array, shift: Array, stay: NDArray[np.bool_], *, common: bool
 ) -> Scatter:
-    """Estimate the scatter from contrasts of the days.
+    """Estimate the scatter from (f, m) contrasts of the days and their (f, m, m) covariance.
 
-    Parameters
-    ----------
-    y, covariance
-        (f, m) contrasts, and the (f, m, m) covariance of the readings in each.
-    shift
-        (m, n) changes of a contrast by relative changes of the n actuators.
-    stay
-        (n,) actuators that are used; the others may have changed by any amount.
-    common
-        Whether to estimate a common scatter, too.
+    ``shift`` are the (m, n) changes of a contrast by relative changes of the n actuators. Of these
+    the (n,) ``stay`` are used; the others may have changed by any amount.
     """
     size = float(np.mean(np.einsum("pii->pi", covariance)) / np.mean(np.sum(shift**2, axis=1)))
     own, together = shift @ shift.T, np.outer(shift.sum(axis=1), shift.sum(axis=1))

@@ -150,7 +150,7 @@ def populations_from(
 def most_outlying(
     y: Array, covariance: Array, which: NDArray[np.int64], population: PopulationFit
 ) -> tuple[int, float, float]:
-    """Return the index of the effect that differs most from the others, sigmas and probability.
+    """Return which of (N,) effects differs most from the others, sigmas and probability.
 
     The spread is that of the others, so that an outlier is not hidden by the spread that it causes.
     This spread is uncertain: the probability is a mean over variances, weighted by their likelihood

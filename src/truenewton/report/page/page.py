@@ -57,7 +57,7 @@ from truenewton.report.page.views import Actuators, calibration_views, change_vi
 from truenewton.report.verdict import Reported, headline_of, sources_of
 from truenewton.rounding import counted, percent, significant, with_error
 
-# Bokeh's script, which stands in the page; only what figures need.
+# Bokeh's script, part of the page: only what the figures need.
 BOKEH = Resources(mode="inline", components=["bokeh"], minified=True)
 LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
 
