@@ -39,7 +39,7 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.couplings import relative_couplings
 from truenewton.estimation.matrix.facts import MatrixFacts
 
-MIN_ACTUATORS = 12  # more than the patterns of a mistake could imitate by chance
+MIN_ACTUATORS = 12  # with fewer, no pattern is tested
 PRIOR_READINGS = 12.0  # weight of the other columns' noise in that of one
 DISTANCE_BINS = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)  # quantiles of the distances of pairs
 
