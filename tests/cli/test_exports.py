@@ -183,8 +183,8 @@ def test_a_reader_of_one_kind_reads_it_and_names_the_others(kinds):
             with pytest.raises(tn.errors.FormatError) as refused:
                 other(path)
             line = str(refused.value)
-            assert line.startswith(f"{path}: is no ")
-            assert f"or this to {reader.__name__} in Python" in line
+            assert line.startswith(f"{path}: is not a ")
+            assert f"or read it with {reader.__name__} in Python" in line
             assert "\n" not in line
 
 
