@@ -136,10 +136,13 @@ def examined(modes: Modes) -> MatrixEvidence:
     imbalances = modes.imbalances(joint, *halves)
     drawn = drawn_differences(halves, noise)
     excess = beyond_noise(halves, drawn, alike=True, doubtful=doubtful)
+    of_halves = acceptance.disagreement(*halves)
+    one, other = (half.values for half in halves)
+    del halves, drawn  # their memory is needed
     report_progress("reciprocity, against the balance", 0.8)
     try:
         evidence, ways, unequal = _against_balance(
-            modes, joint, noise, acceptance.disagreement(*halves), doubtful=doubtful
+            modes, joint, noise, of_halves, doubtful=doubtful
         )
     except (RankDeficient, NotConverged):
         # If balance alone gives no alpha, nothing contradicts reciprocity.
@@ -151,7 +154,6 @@ def examined(modes: Modes) -> MatrixEvidence:
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
-    one, other = (half.values for half in halves)
     covariance, of_sensors = stated_errors(joint, noise)
     excess = max(excess, unequal)
     if doubtful or excess > 1.0:
