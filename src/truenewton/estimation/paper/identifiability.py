@@ -138,7 +138,7 @@ def _distinct_shapes(moments: Moments) -> int:
 
 
 def centred_means(moments: Moments) -> Array:
-    """Return pooled rows or means of repeats, centred for each load, times root weight.
+    """Return (rows, n) pooled rows or means of repeats, centred by load, times root weight.
 
     This removes what is common to a load: weight, bias and torques, and its unknown B, M_y and M_x.
     """
