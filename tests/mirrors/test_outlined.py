@@ -275,10 +275,12 @@ def test_the_hexagon_and_the_wall_of_the_page(inside, tmp_path, monkeypatch):
         PAGE.read_text(encoding="utf-8").split("## Any outline")[1].split("## Segments")
     )
     (mine,) = re.findall(r'```toml\n(name = "HEXAGON".*?)```', text, re.DOTALL)
-    edge, actuators = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)
-    for name, block in (("hexagon.toml", mine), ("edge.csv", edge), ("hexagon.csv", actuators)):
+    (edge,) = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)
+    for name, block in (("hexagon.toml", mine), ("edge.csv", edge)):
         (tmp_path / name).write_text(block)
     monkeypatch.chdir(tmp_path)
+    (places,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    exec(places, {})
     mirror = mirror_from("hexagon.toml")
     assert mirror.layout.n == 37
     assert (0.0, 0.0) in zip(mirror.layout.x, mirror.layout.y, strict=True)
