@@ -177,6 +177,43 @@ def test_the_supervisors_order_is_that_of_a_real_mirror():
     np.testing.assert_allclose(mirror.y[order], matrix.layout.y[real], atol=1e-4)
 
 
+def test_the_matrix_is_looked_for_down_the_tree(tmp_path):
+    folder = tmp_path / "adsec" / TRACK
+    supervisor_folder(folder, positions="rings")
+    made = tn.stiffness_from(tmp_path)
+    files = "ff_matrix.fits, ff_list.fits, conf/general/act2mir_act.txt, conf/LBT672a/shell.txt"
+    assert f"found        {files}" in text(made)
+    assert f"from {folder}, a supervisor's folder" in text(made)
+    (folder / "conf").rename(tmp_path / "conf")
+    assert tn.stiffness_from(tmp_path).matrix.layout.same_as(made.matrix.layout)
+    with pytest.raises(FormatError, match=r"no positions of its channels, but ff_matrix.fits, ff"):
+        tn.stiffness_from(folder)
+    supervisor_folder(tmp_path / "adsec" / "20110312_000000", positions="rings")
+    with pytest.raises(FormatError, match=r"2 measurements: adsec/20110311_130523 and adsec/2011"):
+        tn.stiffness_from(tmp_path)
+
+
+@pytest.mark.parametrize(("first", "how"), [(1, "ID"), (0, "channel")])
+def test_a_known_mirror_may_have_more_actuators_than_the_matrix(tmp_path, first, how):
+    mirror, rows = tn.mirrors.ring(N), np.random.default_rng(2).permutation(N)[:40]
+    if how == "channel":
+        rows[np.argmin(rows)] = 0
+    k = CASE.k[np.ix_(rows, rows)]
+    made = tn.stiffness_from(k, mirror=mirror, ids=rows + first)
+    assert f"40 of 45 matched by {how}" in text(made)
+    np.testing.assert_allclose([made.matrix.layout.x, made.matrix.layout.y], XY[:, rows])
+    assert made.matrix.instrument == made.matrix.mirror == "RING45"
+    tn.write_stiffness(made.matrix, tmp_path / "k.fits")
+    assert tn.read_stiffness(tmp_path / "k.fits").mirror == "RING45"
+    with pytest.raises(FormatError, match=r"positions of P45 do not fit: .* % of the couplings"):
+        tn.stiffness_from(k, mirror=tn.mirrors.p45(), ids=np.sort(rows) + first)
+
+
+def test_without_positions_a_mirror_is_suggested(tmp_path, inside):
+    np.save(tmp_path / "k.npy", CASE.k)
+    assert "; --mirror p45 has 45 actuators" in inside("import", tmp_path / "k.npy")[2]
+
+
 def two_shells():
     """Return the matrix of the mirror twice, and positions of both."""
     k = np.zeros((2 * N, 2 * N))
@@ -433,7 +470,7 @@ def test_a_wide_text_file_names_the_place_of_what_is_no_number(tmp_path):
 
 
 def test_folders_and_missing_files(tmp_path):
-    with pytest.raises(FormatError, match="is a folder of unknown contents; give"):
+    with pytest.raises(FormatError, match=r"no ff_matrix.fits; there is no other file .*; give"):
         tn.stiffness_from(tmp_path)
     with pytest.raises(UnreadableFile, match="No such file"):
         tn.stiffness_from(tmp_path / "ff.fits", XY)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +15,8 @@ from truenewton.cli import options
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
     from truenewton.importers.importing import Imported
+
+MAX_SIZE_RATIO = 1.1  # of a known mirror that is suggested to the actuators of a matrix
 
 
 def run(
@@ -74,7 +78,7 @@ def run(
         raise typer.BadParameter("let -o end in .fits")
     refuse_existing(output, overwrite=overwrite)
     by_file = ids is not None and Path(ids).is_file()
-    with busy("importing"):
+    with busy("importing"), _suggesting_mirror():
         made = stiffness_from(
             matrix,
             coordinates,
@@ -82,7 +86,7 @@ def run(
             lengths=lengths,
             curvature=curvature,
             arc=arc,
-            mirror=None if mirror is None else mirror_from(mirror).layout,
+            mirror=None if mirror is None else mirror_from(mirror),
             ids=ids if ids is None or by_file else options.ids(ids, "--ids"),
             exclude=options.ids(exclude, "--exclude") if exclude else (),
             dataset=dataset,
@@ -94,6 +98,23 @@ def run(
         if output is not None:
             write_stiffness(made.matrix, output, overwrite=overwrite)
     _print_matrix(made, output, transpose=transpose, json=json, quiet=quiet)
+
+
+@contextlib.contextmanager
+def _suggesting_mirror() -> Iterator[None]:
+    """Add the known mirror that has about as many actuators to the error of missing positions."""
+    from truenewton.importers.inputs import NoPositions
+    from truenewton.mirrors.known import KNOWN
+
+    try:
+        yield
+    except NoPositions as error:
+        sizes = {make().layout.n: name for name, make in KNOWN.items()}
+        n = min((n for n in sizes if error.got <= n <= MAX_SIZE_RATIO * error.got), default=0)
+        if not n:
+            raise
+        remedy = f"{error.remedy}; --mirror {sizes[n]} has {n} actuators"
+        raise error.changed(remedy=remedy) from None
 
 
 def _print_matrix(

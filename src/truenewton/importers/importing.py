@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse.csgraph
@@ -26,7 +26,7 @@ from truenewton.estimation.matrix.order import (
     share_by_distance,
 )
 from truenewton.estimation.matrix.screen import released, screen_matrix
-from truenewton.importers.inputs import Given, date_of, read_given
+from truenewton.importers.inputs import Given, NoPositions, Rings, date_of, read_given
 from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_newton_per_metre
 from truenewton.importers.stored import read_stored
 from truenewton.quantities import taking_units
@@ -72,7 +72,7 @@ def stiffness_from(
     lengths: str | None = None,
     curvature: float | None = None,
     arc: bool = False,
-    mirror: Layout | None = None,
+    mirror: Any = None,
     ids: PathLike | Sequence[int] | None = None,
     exclude: Sequence[int] = (),
     dataset: str | None = None,
@@ -97,7 +97,8 @@ def stiffness_from(
         Radius of curvature R [m], if actuators push along the normals; whether radii are measured
         along the surface.
     mirror
-        Rings of a known mirror, for a supervisor's folder.
+        A known mirror or its layout, if positions are not given. The matrix may be of some of its
+        actuators: rows are matched by ID or channel.
     ids, dataset
         (n,) IDs of rows, or a file of them; name of the matrix in a file with several.
     exclude
@@ -117,7 +118,8 @@ def stiffness_from(
     >>> tn.stiffness_from(k, positions, lengths="mm", instrument="P45").matrix
     <StiffnessMatrix of P45: 45 actuators>
     """
-    given = read_given(matrix, coordinates, mirror, dataset, Surface(lengths, curvature, arc))
+    rings = None if mirror is None else Rings.of(mirror)
+    given = read_given(matrix, coordinates, rings, dataset, Surface(lengths, curvature, arc))
     with naming(given.path or None):
         k, rows, part = _one_shell(given.item.values, shell)
         k, unit_line = in_newton_per_metre(k, unit, given.item.unit)
@@ -125,14 +127,12 @@ def stiffness_from(
         ways = list(_ways(given, rows, _names(ids, given.channels)))
         when, how = date_of(given, date)
     name = instrument or given.name
-    try:
-        check = partial(_checked, k, name=name, when=when, exclude=exclude)
-        record, judged, positions, noted = _first_that_fits(ways, check)
-    except TrueNewtonError as error:
-        of_positions = isinstance(error, OtherOrder | GeometryError) and given.where
-        raise located(_naming_columns(error, given), of_positions or given.path or None) from None
+    known = given.mirror.name if given.mirror else None
+    check = partial(_checked, k, name=name, when=when, exclude=exclude, mirror=known)
+    record, judged, positions, noted = _first_that_fits(given, ways, check)
     of = f"{given.which}{part}, {unit_line}{', transposed as told' if transpose else ''}"
-    lines = [
+    lines = [("found", ", ".join(given.found))] if given.found else []
+    lines += [
         ("matrix", f"{len(k)} x {len(k)}{of}"),
         ("sign", sign),
         ("positions", f"{Path(given.where).name or 'given'}: {', '.join(positions.notes)}"),
@@ -151,6 +151,7 @@ def _checked(
     name: str,
     when: datetime.datetime,
     exclude: Sequence[int],
+    mirror: str | None,
 ) -> Checked:
     """Return an (n, n) matrix [N/m] with its positions, checked; lines on what was left out."""
     noted: list[tuple[str, str]] = []
@@ -168,13 +169,15 @@ def _checked(
     )
     require_known(of, exclude)
     of = replace(of, enabled=of.enabled & ~np.isin(of.id, exclude))
-    record = StiffnessMatrix(name, when, of, k)
-    judged = judge(record)
+    record = StiffnessMatrix(name, when, of, k, mirror=mirror or None)
+    judged = judge(record, MIN_ORDER_SHARE if mirror is None else MIN_EXPLAINED_COUPLING)
     record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))
     return record, judged, positions, noted
 
 
-def _first_that_fits(ways: list[Positions], check: Callable[[Positions], Checked]) -> Checked:
+def _first_that_fits(
+    given: Given, ways: list[Positions], check: Callable[[Positions], Checked]
+) -> Checked:
     """Return the first order of positions in which couplings follow the distance."""
     first: TrueNewtonError | None = None
     for way in ways:
@@ -182,14 +185,23 @@ def _first_that_fits(ways: list[Positions], check: Callable[[Positions], Checked
             return check(way)
         except (OtherOrder, GeometryError) as error:
             first = first or error
+        except TrueNewtonError as error:
+            raise located(error, given.path or None) from None
     assert first is not None  # as there is at least one
-    raise first
+    raise located(_mended(first, given), given.where or given.path or None)
 
 
-def _naming_columns(error: TrueNewtonError, given: Given) -> TrueNewtonError:
-    """Return an error of the order with a remedy for positions without IDs: name a column ID."""
+def _mended(error: TrueNewtonError, given: Given) -> TrueNewtonError:
+    """Return an error of the order with the remedy for a mirror, or for positions without IDs."""
     positions = given.positions
-    if not isinstance(error, OtherOrder) or positions is None or positions.ids is not None:
+    if not isinstance(error, OtherOrder) or positions is None:
+        return error
+    if given.mirror is not None:
+        name = given.mirror.name or "the mirror"
+        fault = f"the positions of {name} do not fit: {error.fault.partition(': ')[2]}"
+        remedy = "give the mirror that it is, its actuators by --ids (ids=), or their positions"
+        return error.changed(fault=fault, remedy=remedy)
+    if positions.ids is not None:
         return error
     there = f"; there is {', '.join(positions.columns[:MAX_NAMED])}" if positions.columns else ""
     remedy = "put them in the order of the matrix, or give their numbers in a column named ID"
@@ -244,6 +256,9 @@ def _ways(
     given: Given, rows: NDArray[np.int64] | None, names: NDArray[np.int64] | None
 ) -> Iterator[Positions]:
     """Yield the positions of the rows: as given, then in other possible orders."""
+    if given.mirror is not None and given.positions is not None and names is not None:
+        yield from _by_number(given, given.positions, rows, names)
+        return
     first = _positions_of(given, given.positions, rows, names)
     yield first
     if given.by_ring is not None:
@@ -255,6 +270,26 @@ def _ways(
             yield replace(first.part(order), notes=(*first.notes, "put in the order of their IDs"))
 
 
+def _by_number(
+    given: Given,
+    positions: Positions,
+    rows: NDArray[np.int64] | None,
+    names: NDArray[np.int64],
+) -> Iterator[Positions]:
+    """Yield the positions of a mirror for (m,) names that are its IDs, or channels from 0."""
+    fits = 0
+    for ids, how in ((positions.ids, "ID"), (np.arange(positions.x.size), "channel")):
+        if ids is not None and np.isin(names, ids).all():
+            notes = (*positions.notes, f"{names.size} of {positions.x.size} matched by {how}")
+            fits += 1
+            yield _positions_of(given, replace(positions, ids=ids, notes=notes), rows, names)
+    if not fits:
+        raise FormatError(
+            f"the mirror has {positions.x.size} actuators, and there is a row of {names.max()}",
+            remedy="give the mirror that it is",
+        )
+
+
 def _positions_of(
     given: Given,
     positions: Positions | None,
@@ -264,7 +299,8 @@ def _positions_of(
     """Return the positions of the rows of a matrix, or of those of one shell."""
     if positions is None:
         remedy = "give positions: columns X and Y, an (n, 2) array, or --mirror (mirror=)"
-        raise FormatError("has no positions", remedy=remedy)
+        n = given.item.values.shape[-1]
+        raise NoPositions("has no positions", remedy=remedy, got=n)
     n_all = given.item.values[..., 0].size
     if names is not None and len(names) != n_all:
         raise FormatError(
@@ -367,8 +403,11 @@ def turned_sign(k: Array) -> tuple[Array, str]:
     return -k, "negative: turned (forces on the mirror, positive upward, hold a displacement)"
 
 
-def judge(matrix: StiffnessMatrix) -> Judged:
-    """Check orientation, order and single actuators of a matrix."""
+def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged:
+    """Check orientation, order and single actuators of a matrix.
+
+    Positions are refused if distance explains less than ``min_share`` of the couplings.
+    """
     refuse_compliance(MatrixFacts.of(matrix), matrix.layout)
     matrix = released(matrix)
     measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
@@ -378,7 +417,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     lines = [("orientation", _orientation(facts))]
     lines += [("balance", f"{each.name}; {each.remedy}") for each in balanced]
     share = share_by_distance(k, facts.arms)
-    if share < MIN_ORDER_SHARE and len(k) >= 20:
+    if share < min_share and len(k) >= 20:
         raise OtherOrder(
             f"positions are in another order than rows and columns: {100 * max(share, 0.0):.0f} %"
             " of the couplings follow the distance (usual: 80 %)",

@@ -18,9 +18,10 @@ from __future__ import annotations
 import datetime
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ from truenewton.importers.selection import (
     read_positions,
 )
 from truenewton.importers.stored import Item, Stored, plain, read_stored, text_of
+from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout, ring_of
 
 MATRIX, CHANNELS = "ff_matrix.fits", "ff_list.fits"
@@ -44,6 +46,22 @@ TRACK_NUMBER = re.compile(r"(\d{4})(\d\d)(\d\d)_(\d\d)(\d\d)(\d\d)")
 NUMBERS, SHELL, POSITIONS = "act2mir_act.txt", "shell.txt", "act_coordinates.fits"
 NAME = "MIRROR"  # if it is unknown
 OPTICALIB_POSITIONS = "ActuatorsCoordinates.fits"
+
+
+class Rings(NamedTuple):
+    """The actuators of a known mirror, and its name or ''."""
+
+    layout: Layout
+    name: str
+
+    @classmethod
+    def of(cls, mirror: Any) -> Rings:
+        """Return those of a mirror, or of its layout."""
+        return cls(getattr(mirror, "layout", mirror), getattr(mirror, "name", ""))
+
+
+class NoPositions(FormatError):
+    """There are no positions; ``got`` is the number of actuators that they are needed for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +82,10 @@ class Given:
         (n,) IDs of the rows, or None.
     by_ring
         Positions if their file is in the supervisor's order of rings, or None.
+    mirror
+        The known mirror that the positions are from, or None.
+    found
+        The files of a folder that were found.
     """
 
     item: Item
@@ -75,17 +97,20 @@ class Given:
     where: str = ""
     channels: NDArray[np.int64] | None = None
     by_ring: Positions | None = None
+    mirror: Rings | None = None
+    found: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
-        """INSTRUME, or the name of the file unless it is a track number."""
+        """INSTRUME, or the name of the mirror, or of the file unless it is a track number."""
         stem = Path(self.path).stem
         named = "" if TRACK_NUMBER.search(stem) else stem
-        return str(self.stored.header.get("INSTRUME") or named or NAME)
+        mirror = self.mirror.name if self.mirror is not None else ""
+        return str(self.stored.header.get("INSTRUME") or mirror or named or NAME)
 
 
 def read_given(
-    matrix: Any, coordinates: Any, mirror: Layout | None, dataset: str | None, surface: Surface
+    matrix: Any, coordinates: Any, mirror: Rings | None, dataset: str | None, surface: Surface
 ) -> Given:
     """Read arrays, files or a folder, as `stiffness_from` takes them."""
     if not isinstance(matrix, str | os.PathLike):
@@ -98,27 +123,22 @@ def read_given(
     else:
         stored = read_stored(matrix)
     item, which = matrix_in(stored, dataset)
-    found: Any = coordinates if coordinates is not None else mirror
+    used = mirror if coordinates is None else None
+    found: Any = coordinates if used is None else used.layout
     where = ""
     if isinstance(found, str | os.PathLike):
         found, where = read_positions(found), os.fspath(found)
     elif found is None:
         found, where = positions_in(stored), stored.path
     positions = _in_metres(found, where, surface)
-    return Given(item, which, stored, "", stored.path, positions, where)
+    return Given(item, which, stored, "", stored.path, positions, where, mirror=used)
 
 
 def _in_folder(
-    path: Path, coordinates: Any, mirror: Layout | None, dataset: str | None, surface: Surface
+    given: Path, coordinates: Any, mirror: Rings | None, dataset: str | None, surface: Surface
 ) -> Given:
     """Read a supervisor's folder, or a configuration folder of opticalib."""
-    if not (path / MATRIX).is_file():
-        raise FormatError(
-            "is a folder of unknown contents",
-            remedy=f"give the matrix itself, or a folder with {MATRIX} and {CHANNELS}, or with"
-            f" {MATRIX} and {OPTICALIB_POSITIONS}",
-            path=path,
-        )
+    path = _folder_of_matrix(given)
     stored = read_stored(path / MATRIX)
     item, which = matrix_in(stored, dataset)
     own = Path(coordinates) if isinstance(coordinates, str | os.PathLike) else None
@@ -127,18 +147,21 @@ def _in_folder(
     if file is not None:
         found = read_positions(file)
     kind, how, channels, by_ring = "opticalib's configuration", "", None, None
+    folders, used = (path, given, conf), mirror if found is None else None
+    files = _files_in(*folders)
     if (path / CHANNELS).is_file():
         kind, channels = "a supervisor's folder", channels_of(path)
         if found is None:
-            found, file, how = places_of(path, conf, mirror, channels)
+            found, file, how = places_of(folders, mirror, channels, files)
         elif file is not None:
             every, found = found, of_channels(found, channels, file)
-            numbers = find_file(NUMBERS, path)
+            numbers = find_file(NUMBERS, path, given)
             if found is not every and numbers is not None:
                 by_ring = of_channels(every, numbers_of(channels, numbers), file)
     elif found is None:
-        file = find_file(OPTICALIB_POSITIONS, path, conf)
-        found = mirror if file is None else read_positions(file)
+        file = find_file(OPTICALIB_POSITIONS, *folders)
+        used = mirror if file is None else None
+        found = read_positions(file) if file is not None else mirror and mirror.layout
     if file is not None and file.name == POSITIONS:
         surface = replace(surface, lengths=surface.lengths or "mm", arc=True)
     where = os.fspath(file or "")
@@ -148,8 +171,40 @@ def _in_folder(
     if positions is not None and how:
         positions = replace(positions, notes=(how, *positions.notes))
     return Given(
-        item, which, stored, f", {kind}", os.fspath(path), positions, where, channels, by_ring
+        item, which, stored, f", {kind}", os.fspath(path), positions, where, channels, by_ring,
+        used, files,
+    )  # fmt: skip
+
+
+def _folder_of_matrix(folder: Path) -> Path:
+    """Return the folder of the only matrix in a folder or up to two levels below."""
+    found = find_files(MATRIX, folder)
+    if (folder / MATRIX).is_file() or len(found) == 1:
+        return found[0].parent
+    if not found:
+        there = ", ".join(_files_in(folder)) or "no other file of a supervisor or of opticalib"
+        raise FormatError(
+            f"contains no {MATRIX}; there is {there}",
+            remedy=f"give the matrix itself, or a folder with {MATRIX} and {CHANNELS}, or with"
+            f" {MATRIX} and {OPTICALIB_POSITIONS}",
+            path=folder,
+        )
+    folders = [str(each.parent.relative_to(folder)) for each in found]
+    raise FormatError(
+        f"contains {len(found)} measurements: {listed(folders, 9)}",
+        remedy="give the folder of one of them, and the configuration after it",
+        path=folder,
     )
+
+
+def _files_in(*folders: Path | None) -> tuple[str, ...]:
+    """Return the known files in folders, each relative to the folder in which it is found."""
+    names = (MATRIX, CHANNELS, POSITIONS, NUMBERS, SHELL, OPTICALIB_POSITIONS)
+    found: list[str] = []
+    for name in names:
+        places = ((folder, find_file(name, folder)) for folder in folders)
+        found += [str(file.relative_to(at)) for at, file in places if at and file][:1]
+    return tuple(found)
 
 
 def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
@@ -166,14 +221,18 @@ def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
         return in_metres(found, surface)
 
 
+def find_files(name: str, *folders: Path | None) -> list[Path]:
+    """Return the files of a name in folders and up to two levels below, the nearest first."""
+    patterns = (name, f"*/{name}", f"*/*/{name}")
+    there = [folder for folder in folders if folder is not None and folder.is_dir()]
+    return [
+        found for folder in there for pattern in patterns for found in sorted(folder.glob(pattern))
+    ]
+
+
 def find_file(name: str, *folders: Path | None) -> Path | None:
     """Return the first file of a name in folders or up to two levels below."""
-    for folder in folders:
-        if folder is not None and folder.is_dir():
-            for pattern in (name, f"*/{name}", f"*/*/{name}"):
-                if found := sorted(folder.glob(pattern)):
-                    return found[0]
-    return None
+    return next(iter(find_files(name, *folders)), None)
 
 
 def only_array(path: str | os.PathLike[str]) -> Item:
@@ -193,30 +252,35 @@ def channels_of(folder: Path) -> NDArray[np.int64]:
 
 
 def places_of(
-    folder: Path, conf: Path | None, mirror: Layout | None, channels: NDArray[np.int64]
-) -> tuple[Positions | Layout, Path, str]:
+    folders: Sequence[Path | None],
+    mirror: Rings | None,
+    channels: NDArray[np.int64],
+    files: Sequence[str],
+) -> tuple[Positions | Layout, Path | None, str]:
     """Return positions of (m,) channels, their file, and a text on how they were found."""
-    numbers = find_file(NUMBERS, folder, conf)
-    shell = find_file(SHELL, folder, conf)
-    given = find_file(POSITIONS, folder, conf)
+    numbers, shell, given = (find_file(name, *folders) for name in (NUMBERS, SHELL, POSITIONS))
     if mirror is None and given is not None:
         places = read_positions(given)
         return of_channels(places, channels, given), given, "radii along the surface, in mm"
+    if numbers is None and mirror is not None:
+        return mirror.layout, None, ""
     if numbers is None:
-        raise FormatError(
-            "contains no positions of its channels",
+        raise NoPositions(
+            f"contains no positions of its channels, but {', '.join(files)}",
             remedy=f"give positions of the channels, or a folder with {POSITIONS}, or with"
-            f" {NUMBERS} and {SHELL} (or --mirror)",
-            path=folder,
+            f" {NUMBERS} and {SHELL}, or the mirror by --mirror (mirror=)",
+            path=folders[0],
+            got=int(channels.max()) + 1,
         )
     mine = numbers_of(channels, numbers)
     if mirror is None and shell is None:
-        raise FormatError(
+        raise NoPositions(
             f"there is {NUMBERS}, but no {SHELL}",
             remedy=f"give its folder, or the mirror by --mirror (mirror=), or {POSITIONS}",
-            path=folder,
+            path=folders[0],
+            got=int(mine.max()) + 1,
         )
-    every = mirror if mirror is not None else shell_layout(shell)  # type: ignore[arg-type]
+    every = mirror.layout if mirror is not None else shell_layout(shell)  # type: ignore[arg-type]
     if mine.max() >= every.n:
         channel = channels[mine == mine.max()][0]
         raise FormatError(

@@ -102,6 +102,7 @@ STIFFNESS = FileFormat(
         INSTRUMENT,
         Keyword("DATE-OBS", "date", "UTC", kind="date"),
         Keyword("DISPLACE", "displaced", "displacements: read or true", kind="str", absent="read"),
+        Keyword("MIRROR", "mirror", "known mirror, if positions are its", kind="str", absent=None),
     ),
     (ACTUATORS, ImageFormat("STIFFNESS", "stiffness", "N/m")),
 )

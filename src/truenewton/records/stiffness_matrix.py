@@ -35,6 +35,8 @@ class StiffnessMatrix:
         The file, or None.
     displaced
         'read' if displacements are sensor readings, 'true' if they are corrected for the sensors.
+    mirror
+        The known mirror that the positions are from, or None.
 
     Examples
     --------
@@ -51,6 +53,7 @@ class StiffnessMatrix:
     stiffness: Array
     source: Source | None = None
     displaced: str = "read"
+    mirror: str | None = None
 
     def __post_init__(self) -> None:
         check_date(self.date)
