@@ -116,11 +116,6 @@ def contract(hdu):
     return [(c.name, c.format, c.unit) for c in hdu.columns]
 
 
-ACTUATORS = [
-    ("ID", "J", None), ("X", "D", "m"), ("Y", "D", "m"), ("NZ", "D", None), ("ENABLED", "L", None),
-]  # fmt: skip
-
-
 def test_a_cycle_file_is_as_the_contract_says(full_cycle, tmp_path):
     write_cycle(full_cycle, tmp_path / "c.fits")
     with fits.open(tmp_path / "c.fits") as hdus:
@@ -135,7 +130,6 @@ def test_a_cycle_file_is_as_the_contract_says(full_cycle, tmp_path):
             "GAP": 68e-6 / 1.1, "FORCERR": 1e-4 / 3,
         }  # fmt: skip
         assert {key: header[key] for key in wanted} == wanted
-        assert contract(hdus["ACTUATORS"]) == ACTUATORS
         assert contract(hdus["MEASUREMENTS"]) == [
             ("TIME", "D", "s"), ("SHAPE", "J", None), ("SIGN", "J", None),
             ("TEMPERATURE", "D", "deg_C"), ("FORCE", "12D", "N"), ("POSITION", "12D", "m"),
@@ -160,17 +154,6 @@ def test_a_calibration_file_is_as_the_contract_says_and_read_as_written(p45_fold
         assert hdus[0].header["TEMPERAT"] == 20.0
         assert (hdus[0].header["METHOD"], hdus[0].header["SCALE"]) == ("svd", "weights")
         table = hdus["CALIBRATION"]
-        # NZ, last, is more than the contract asks: it makes the layout complete.
-        assert contract(table) == [
-            ("ID", "J", None), ("X", "D", "m"), ("Y", "D", "m"), ("ALPHA", "D", None),
-            ("E_ALPHA", "D", None), ("E_STAT", "D", None), ("E_SYST", "D", None),
-            ("E_CYCLE", "D", None), ("NZ", "D", None),
-        ]  # fmt: skip
-        assert contract(hdus["LOADS"]) == [
-            ("LOAD", "4A", None), ("ADDED", "D", "N"), ("E_ADDED", "D", "N"), ("TILT", "D", "deg"),
-            ("MY", "D", "N m"), ("E_MY", "D", "N m"), ("MX", "D", "N m"), ("E_MX", "D", "N m"),
-            ("TOOL", "4A", None),
-        ]  # fmt: skip
         assert list(hdus["LOADS"].data["LOAD"]) == ["bare", "ring"]
         covariance, n = hdus["COVARIANCE"].data, 45
         assert covariance.shape == hdus["SYSTEMATIC"].data.shape == (50, 50)
@@ -184,10 +167,6 @@ def test_a_calibration_file_is_as_the_contract_says_and_read_as_written(p45_fold
             np.transpose([hdus["LOADS"].data["E_MY"] ** 2, hdus["LOADS"].data["E_MX"] ** 2]),
         )
         sources = hdus["SOURCES"]
-        assert contract(sources) == [
-            ("FILE", "13A", None), ("SHA256", "64A", None), ("ROWS", "J", None),
-            ("REJECTED", "J", None),
-        ]  # fmt: skip
         files = sorted(p.name for p in p45_folder.iterdir())
         assert list(sources.data["FILE"]) == files
         digests = [hashlib.sha256((p45_folder / f).read_bytes()).hexdigest() for f in files]
