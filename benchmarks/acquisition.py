@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import truenewton as tn
-from truenewton.acquisition.journal import record_type
+from truenewton.acquisition.folder import record_type
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
 from truenewton.acquisition.taker import Progress
 from truenewton.bench.protocol import Bench, Reading, Shape, Status

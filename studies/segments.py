@@ -33,8 +33,15 @@ import numpy as np
 import truenewton as tn
 from studies.accuracy import TWO_SIGMA, information_of, rms
 from truenewton.arrays import Array
-from truenewton.bench.simulated.segmented import SEEDS, SegmentedBench, segmented_bench
-from truenewton.bench.simulated.static import StaticBench, held_command, rows_of_cycle, run_cycles
+from truenewton.bench.simulated.static import (
+    SEEDS_PER_MIRROR,
+    SegmentedBench,
+    StaticBench,
+    bench_of,
+    held_command,
+    rows_of_cycle,
+    run_cycles,
+)
 from truenewton.bench.simulated.truth import truth_path
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.mirrors.file import whole_mirror_from
@@ -125,7 +132,7 @@ def many(bench: SegmentedBench, cycles: int, count: int) -> None:
     for number in range(count):
         k = number % len(bench.benches)
         one = bench.benches[k]
-        noise = replace(one.truth, seed=one.truth.seed + SEEDS * (number + 1))
+        noise = replace(one.truth, seed=one.truth.seed + SEEDS_PER_MIRROR * (number + 1))
         one = replace(one, truth=noise)
         found = tn.calibrate(tn.Campaign(tuple(run_cycles(one, cycles))))
         of_all.append(figures(one, least[k], found))
@@ -158,7 +165,7 @@ def main() -> None:
 
     def draw() -> SegmentedBench:
         noise = arguments.noise
-        return segmented_bench(mirror, arguments.seed, force_noise=noise, temperature=20.0)
+        return bench_of(mirror, arguments.seed, force_noise=noise, temperature=20.0)
 
     if arguments.campaigns:
         many(draw(), arguments.cycles, arguments.campaigns)

@@ -127,7 +127,7 @@ class BenchFault(TrueNewtonError, RuntimeError):
 
 
 class LoopUnstable(BenchFault):
-    """Loop gains that are unstable: by calculation, or because the noise grows."""
+    """Gains with which the simulated loop is unstable: its noise grows."""
 
 
 class Interrupted(TrueNewtonError):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, small_plan, write_shapes
 from helpers.stub_bench import SMALL, StubBench
-from truenewton.acquisition.checks import Guard
 from truenewton.acquisition.plan import MirrorLimits, PlannedShapes
+from truenewton.acquisition.taker import Guard
 from truenewton.bench.protocol import Shape
 from truenewton.errors import BenchFault, FormatError, LimitExceeded
 
@@ -58,7 +58,7 @@ def test_a_reading_beyond_a_limit_is_the_last(tmp_path, values, said):
     said = said if "[" in said else said.replace("+", "[+]")
     with pytest.raises(LimitExceeded, match=said) as raised:
         tn.acquire(bench, limited(), tmp_path / "c")
-    assert raised.value.remedy.endswith("the same command goes on, once that is mended")
+    assert raised.value.remedy.endswith("the same command goes on, once that is corrected")
     assert bench.read_of[-1] == ("ring", 1, 5, 1)
     assert len(bench.commanded) == len(bench.read_of)
     assert bench.shape is None

@@ -7,6 +7,7 @@ import errno
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,12 +20,11 @@ import pytest
 
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
-from helpers.stub_bench import Hands, StubBench, at
-from truenewton.acquisition.journal import Journal
+from helpers.stub_bench import MODEL, Hands, StubBench, at
+from truenewton.acquisition.folder import Journal
 from truenewton.acquisition.plan import PlannedShapes
-from truenewton.acquisition.taker import Interruption, Progress
+from truenewton.acquisition.taker import Interruption
 from truenewton.bench.protocol import Shape
-from truenewton.cli.acquire import Terminal
 from truenewton.errors import (
     CampaignMismatch,
     FormatError,
@@ -346,6 +346,10 @@ def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_p
     assert code == 2
     assert "-cycles = 2, +cycles = 3" in err
     assert err.count("\n") == 1
+    shutil.rmtree(output)
+    code, _, err = inside("acquire", plan, "-o", output)
+    assert code == 2
+    assert err.endswith("exists already, without its campaign; remove it, or choose another name\n")
 
 
 def test_ctrl_c_at_the_command_is_one_line_and_exit_code_130(inside, tmp_path, monkeypatch):
@@ -370,7 +374,7 @@ def test_nobody_at_a_terminal_must_say_yes(inside, tmp_path, monkeypatch):
     assert "somebody must take every weight off the mirror ('bare')" in err
     code, out, err = inside("acquire", plan, "-o", tmp_path / "c", "--yes")
     assert code == 2  # it was left off, whatever was said
-    assert "put 'ring' on the mirror (0.05 N): taken for done" in out
+    assert "put 'ring' on the mirror (0.05 N): assumed to be done" in out
     assert "'ring' is not on: the sum of the forces changed by" in err
 
 
@@ -402,17 +406,20 @@ class TerminalStream(io.StringIO):
         return True
 
 
-def test_the_bar_is_drawn_at_a_terminal(inside, tmp_path, monkeypatch):
+def test_a_bar_is_drawn_at_a_terminal(inside, tmp_path, monkeypatch, p45_folder):
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(sys, "stderr", screen := TerminalStream())
-    assert inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c")[0] == 0
-    drawn = screen.getvalue()
-    assert "ring cycle 2/2 shape 3/3 -" in drawn
-    assert "N, least gap 64.0 um" in drawn
-    assert "0:00:00 left" in drawn
-    shape = Shape(LOADS[0], 1, 1, 1, np.zeros(8))
-    terminal = Terminal(yes=True)
-    terminal.progress(Progress(shape, 2, 3, 23, 24, 64e-6, taken=1, seconds=3725.4))
-    terminal.stop()
-    assert "1:02:05 left" in screen.getvalue()
+    monkeypatch.chdir(tmp_path)
+    np.save("k.npy", MODEL)
+    for command, *shown in (
+        (f"acquire {plan_file(tmp_path).name} -o c", "ring cycle 2/2 shape 3/3 -",
+         "N, smallest gap 64.0 um", "0:00:00"),
+        ("simulate p45 -o s --cycles 2 --temperature 10", "simulating: 1 of 4 cycles"),
+        ("import k.npy --mirror ring8 --unit N/m -o k.fits", "importing"),
+        (f"modes {p45_folder}", "reading", "finding modes"),
+        (f"report {p45_folder} -o r.html", "investigating", "writing the report"),
+        (f"track {p45_folder} s", "tracking"),
+    ):  # fmt: skip
+        monkeypatch.setattr(sys, "stderr", screen := TerminalStream())
+        assert inside(*command.split())[0] == 0, command
+        assert all(each in screen.getvalue() for each in shown), command

@@ -15,7 +15,7 @@ import pytest
 import truenewton as tn
 from truenewton.bench.opticalib import OpticalibMirror, from_address
 from truenewton.bench.protocol import Bench, Shape
-from truenewton.bench.simulated.electronics import SAMPLES
+from truenewton.bench.simulated.loop import SAMPLES
 from truenewton.bench.simulated.static import static_bench
 from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import p45, ring

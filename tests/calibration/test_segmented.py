@@ -276,7 +276,7 @@ def test_modes_of_segments_are_those_of_each_alone(two, inside, tmp_path):
     assert (code, wrong) == (0, "")
     assert "m-1.fits" in said
     for number, one in enumerate(alone, 1):
-        other = tn.find_modes(one, force=True, off=[1] if number == 1 else ())
+        other = tn.find_modes(one, accept_rejected=True, off=[1] if number == 1 else ())
         with fits.open(tmp_path / f"m-{number}.fits") as hdus:
             budget = hdus["BUDGET"].data
         base = other.after.modes.stiffness

@@ -70,7 +70,7 @@ def test_every_command_gives_the_same_verdict(inside, tmp_path, made, monkeypatc
     """What check_alike does not ask (tests/cli/test_remedies.py): the file, modes and figures."""
     monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
     folder, alpha = written(tmp_path, made()), tmp_path / "alpha.fits"
-    code, out, _ = inside("calibrate", folder, "-o", alpha, "--json", "--force")
+    code, out, _ = inside("calibrate", folder, "-o", alpha, "--json", "--anyway")
     assert code == 0
     verdict = json.loads(out)["verdict"]
     for path in (folder, alpha):
@@ -94,7 +94,7 @@ def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp
     assert "copy of another file" in error
     assert "restore the original of the copy" in error
     assert not alpha.exists()
-    code, out, _ = inside("calibrate", folder, "-o", alpha, "--force")
+    code, out, _ = inside("calibrate", folder, "-o", alpha, "--anyway")
     assert code == 0
     assert fits.getval(alpha, "VERDICT") == "rejected"
     good = tmp_path / "good.fits"
@@ -112,7 +112,7 @@ def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp
         assert not command[-1].exists()
     assert inside("modes", folder, "--calibration", alpha, "--anyway")[0] == 0
     code, out, _ = inside(
-        "recalibrate", tmp_path / "good", "--known", alpha, "--actuators", "3", "--force",
+        "recalibrate", tmp_path / "good", "--known", alpha, "--actuators", "3", "--anyway",
         "-o", tmp_path / "again.fits",
     )  # fmt: skip
     assert code == 0

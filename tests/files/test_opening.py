@@ -6,10 +6,12 @@ import os
 import socket
 import sys
 
+import h5py
 import numpy as np
 import pytest
+import scipy.io
 
-from truenewton.acquisition.journal import Journal, journal_path
+from truenewton.acquisition.folder import Journal, journal_path
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import (
     FormatError,
@@ -20,8 +22,7 @@ from truenewton.errors import (
 )
 from truenewton.figures.style import plain
 from truenewton.files import opening
-from truenewton.files.fits import read_fits
-from truenewton.files.opening import BLOCK, CARD, check_sizes
+from truenewton.files.fits import BLOCK, CARD, read_fits
 from truenewton.files.toml import read_toml
 from truenewton.linalg import inverse_of_positive
 from truenewton.mirrors.file import layout_in
@@ -79,14 +80,23 @@ def test_what_is_no_file_is_not_waited_for(tmp_path, make, said):
             read_toml(path)
 
 
-def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+def test_what_unpacks_to_too_much_is_refused(inside, tmp_path, monkeypatch):
     monkeypatch.setattr(opening, "MAX_UNPACKED_BYTES", 2**20)
     path = tmp_path / "x.fits.gz"
     path.write_bytes(gzip.compress(START + bytes(2**23)))
-    with pytest.raises(UnreadableFile, match="unpacks to more than"):
+    with pytest.raises(UnreadableFile, match=r"unpacks to .* GB, more than"):
         read_fits(path)
     path.write_bytes(gzip.compress(START))
     assert read_fits(path).header["NAXIS"] == 0
+    zeros = np.zeros((400, 400))
+    np.savez_compressed(tmp_path / "k.npz", K=zeros)
+    scipy.io.savemat(tmp_path / "k.mat", {"K": zeros}, do_compression=True)
+    with h5py.File(tmp_path / "k.h5", "w") as file:
+        file.create_dataset("K", data=zeros, compression="gzip")
+    for name in ("k.npz", "k.mat", "k.h5"):
+        code, _, err = inside("import", tmp_path / name, "--mirror", "p45")
+        assert (code, err.count("\n")) == (2, 1)
+        assert "unpacks to 0.0 GB, more than" in err
 
 
 def test_tiles_that_unpack_to_too_much_are_refused(tmp_path):
@@ -97,8 +107,8 @@ def test_tiles_that_unpack_to_too_much_are_refused(tmp_path):
     )  # fmt: skip
     path = tmp_path / "x.fits"
     path.write_bytes(START + tiles)
-    with path.open("rb") as file, pytest.raises(UnreadableFile, match="unpacks to more than"):
-        check_sizes(file)
+    with pytest.raises(UnreadableFile, match=r"unpacks to .* GB, more than"):
+        read_fits(path)
 
 
 def test_a_text_file_that_is_too_long_is_refused(tmp_path, monkeypatch):

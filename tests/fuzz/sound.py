@@ -5,12 +5,10 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import numpy as np
-
 import truenewton as tn
 from tests.helpers.acquisition_plans import write_shapes
 from truenewton.acquisition.acquire import chosen_bench
-from truenewton.acquisition.journal import Journal
+from truenewton.acquisition.folder import Journal
 from truenewton.acquisition.plan import read_plan
 from truenewton.bench.opcua.keys import make_keys
 from truenewton.bench.protocol import Shape
@@ -111,7 +109,7 @@ def _interrupt(at: Path) -> None:
         path.unlink()
     journal = Journal(at / "run", plan.loads[1], 1, bench.layout.n)
     bench.put_on(plan.loads[1])
-    shapes = np.load(at / "run" / ".shapes.npy")
+    shapes = read_fits(at / "run" / ".shapes").pixels("SHAPES")
     for k in range(8):
         shape = Shape(plan.loads[1], 1, k // 2 + 1, (1, -1)[k % 2], shapes[k // 2])
         bench.command(shape)

@@ -15,7 +15,7 @@ from pathlib import Path
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan
 from helpers.stub_bench import StubBench
-from truenewton.acquisition.journal import RunLog
+from truenewton.acquisition.taker import RunLog
 
 STEPS = ("open", "write", "fsync", "ftruncate", "replace", "unlink")
 
@@ -75,7 +75,7 @@ def read_twice(folder, plan, want):
     """Hold a finished campaign against the uninterrupted one, and count what was read twice."""
     assert contents(folder) == want, "the resumed campaign differs"
     left = [p.name for p in folder.iterdir() if p.name.startswith(".")]
-    assert sorted(left) == [".lock", ".shapes.npy"], left
+    assert sorted(left) == [".lock", ".shapes"], left
     rows = 2 * plan.shapes.count * plan.cycles * len(plan.loads)
     twice = Path(f"{folder}.reads").stat().st_size - rows
     assert 0 <= twice <= 1, twice

@@ -16,8 +16,7 @@ from helpers.opcua_server import behind, free_port
 from truenewton.acquisition.acquire import chosen_bench
 from truenewton.bench.opcua import server
 from truenewton.bench.protocol import BenchChoice
-from truenewton.bench.simulated.segmented import bench_of, campaign_on, seed_of, truth_of
-from truenewton.bench.simulated.static import static_bench
+from truenewton.bench.simulated.static import bench_of, campaign_on, seed_of, static_bench, truth_of
 from truenewton.calibration.methods import seen_of
 from truenewton.errors import FormatError
 from truenewton.mirrors.file import check_mirror, mirror_from, whole_mirror_from

@@ -331,11 +331,13 @@ def random_mirror(n):
 def test_a_large_mirror_takes_six_matrices_and_is_not_compared(monkeypatch):
     """Those that are given not counted; of a still larger one blocks take a smaller share."""
     n = 300
-    find_modes(*random_mirror(30), force=True)  # what is imported on the way does not count
+    find_modes(
+        *random_mirror(30), accept_rejected=True
+    )  # what is imported on the way does not count
     matrix, calibration = random_mirror(n)
     monkeypatch.setattr(findings, "MAX_COMPARED", n - 1)
     tracemalloc.start()
-    found = find_modes(matrix, calibration, force=True)
+    found = find_modes(matrix, calibration, accept_rejected=True)
     peak = tracemalloc.get_traced_memory()[1] / (8 * n * n)
     told = summary.values(found, Budget(power=0.1))
     tracemalloc.stop()

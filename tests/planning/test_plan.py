@@ -17,10 +17,11 @@ from truenewton.acquisition.plan import (
     AssumedSensors,
     CampaignPlan,
     PlannedShapes,
+    model_glass,
     read_plan,
+    shapes_and_forces,
     template,
 )
-from truenewton.acquisition.shapes import model_glass, shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.estimate import FROM_READINGS, tilt_as_load, typical
@@ -460,7 +461,7 @@ def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
         ('source = "modes"', 'source = "no.fits"', "no.fits: "),
         ('name = "ring"', 'name = "Bare"', "give every load once, with a name of its own"),
         ('name = "ring"', 'name = " "', "load ' ': LOAD is blank; name the load"),
-        ('name = "ring"', 'name = "r\\u001b[31m"', "cannot stand in a FITS header"),
+        ('name = "ring"', 'name = "r\\u001b[31m"', "is not allowed in a FITS header"),
         ("added = -0.289", "added = 0.289", "load 'ring': ADDED is 0.289 N; z points up"),
         ("added_error = 0.005", "added_error = -1", "load 'ring': E_ADDED is -1; give a standard"),
         ('tool = "ring"', "tilt = 90", "load 'ring': TILT is 90 deg; give the angle"),

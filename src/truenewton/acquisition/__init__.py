@@ -1,11 +1,8 @@
-"""Running a plan on any bench, so that nothing is lost and nothing goes beyond its limit.
+"""Running a plan on any bench: no data are lost, and no limit is exceeded.
 
-plan        what a campaign shall be: shapes, loads, cycles, limits
-shapes      the shapes of a plan, and the forces that they take
-load_order  which load is put on when, for which cycles, and what drift then costs the scale
-acquire     the whole: the bench of a plan, and what is missing of a campaign, cycle by cycle
-taker       one shape: taken again if the reading is not sound; who looks on; Ctrl-C
-checks      limits, held against every command and reading; whether a load is on
-folder      a campaign's folder: for one run alone, one plan for good, and what is complete
-journal     what a run writes: its log, and the shapes of the cycle under way
+plan        the plan: shapes, loads, cycles, limits, and the shapes it leads to
+load_order  the order of the loads, and the errors by drift
+folder      the folder of a campaign: lock, plan, complete cycles, and the journal of a cycle
+taker       one shape: limits, sound readings, loads, log, Ctrl-C
+acquire     the whole: the bench of a plan, and what is missing of a campaign
 """

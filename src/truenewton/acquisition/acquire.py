@@ -1,15 +1,11 @@
-"""A plan run on a bench: checked, locked, resumed, and the mirror at rest whatever happens.
-
-What is missing is taken mounting by mounting, cycle by cycle, shape by shape.
-"""
+"""A plan run on a bench: checked, locked, resumed, and the mirror at rest whatever happens."""
 
 from __future__ import annotations
 
 import os
 import platform
-import time
 from collections.abc import Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import product
@@ -18,41 +14,45 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.acquisition.checks import Guard, judge, mean_sum, shape_name, sum_at_rest, sum_error
 from truenewton.acquisition.folder import (
+    Journal,
+    SteadyClock,
     begin_or_resume,
     cycle_names,
     finished_cycles,
-    locked,
-)
-from truenewton.acquisition.journal import (
-    Journal,
-    RunLog,
-    SteadyClock,
     journal_path,
+    locked,
     remove_journal,
 )
 from truenewton.acquisition.load_order import mounting_words, mountings
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror, recorded_layout
 from truenewton.acquisition.taker import (
+    Guard,
     Interruption,
     Onlooker,
     Progress,
+    RunLog,
     SilentOnlooker,
     Taker,
     force_noise,
+    judge,
+    mean_sum,
+    shape_name,
+    sum_at_rest,
+    sum_error,
 )
 from truenewton.arrays import Array
 from truenewton.bench.opcua import connect
 from truenewton.bench.opticalib import from_address
 from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
 from truenewton.bench.simulated.bench import SimulatedBench
-from truenewton.bench.simulated.segmented import seed_of
+from truenewton.bench.simulated.static import seed_of
 from truenewton.errors import (
     BenchFault,
     CampaignMismatch,
     Interrupted,
     LimitExceeded,
+    OutputFailed,
     TrueNewtonError,
     located,
 )
@@ -64,7 +64,7 @@ from truenewton.statics.load import Load
 
 SEGMENT = "{segment}"  # in address and keys: its number, since each has its own control unit
 MAX_INVALID_IN_A_ROW = 5  # so many shapes that are not valid, one after another, end a run
-MAX_INVALID_AT_END = 3  # so many at the end of a cycle do: of more than one shape, both signs
+MAX_INVALID_AT_END = 3  # the same at the end of a cycle, which would else be complete
 MAX_REQUESTS = 3  # times for a load that is not on
 
 
@@ -87,13 +87,13 @@ def acquire(
     bench
         Hardware, a server or a simulation.
     plan
-        What to take. Its copy in the folder decides when the campaign is resumed.
+        The campaign. If it is resumed, the plan must be equal to the copy in the folder.
     folder
-        For the cycle files; made where it is not there.
+        For the cycle files; made if it does not exist.
     beside
-        The folder relative to which files that the plan names stand.
+        The folder to which the files that the plan names are relative.
     operator, onlooker
-        Who puts the loads on, by default the bench if it can; who is shown how it goes.
+        Puts the loads on, by default the bench; is shown the progress.
 
     Returns
     -------
@@ -152,12 +152,12 @@ def acquire(
 
 def _operator_of(bench: Bench) -> Operator:
     if not isinstance(bench, Operator):
-        raise BenchFault("nobody puts the loads on", remedy="give an operator")
+        raise BenchFault("no operator puts the loads on", remedy="give an operator")
     return bench
 
 
 def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
-    """Return how far a campaign of so many shapes is, with so many cycles complete."""
+    """Return the progress of a campaign of so many shapes, with so many cycles complete."""
     return Progress(
         shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
         cycles=plan.cycles,
@@ -171,9 +171,9 @@ def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> P
 def _agreed(
     bench: Bench, plan: CampaignPlan, beside: str | os.PathLike[str]
 ) -> tuple[Mirror, Layout]:
-    """Return the mirror of a plan and its actuators as recorded; refuse a bench of another.
+    """Return the mirror of a plan and its layout as recorded; refuse a bench of another mirror.
 
-    A segment's may name and place its actuators as the segment does, or as the whole mirror.
+    The bench of a segment may place its actuators as the segment does, or as the whole mirror.
     """
     mirror, recorded = planned_mirror(plan, beside), recorded_layout(plan, beside)
     if bench.layout.n != mirror.layout.n:
@@ -210,27 +210,26 @@ def _note_start(run: Run) -> None:
 
 @contextmanager
 def _at_rest_in_the_end(run: Run) -> Iterator[None]:
-    """Bring the mirror to rest whatever happens, and say how to go on."""
+    """Bring the mirror to rest whatever happens, and add to an error how to continue."""
     log = run.taker.log
     try:
         yield
         run.taker.rest()
     except BaseException as error:
-        log.last_words("stop", error=type(error).__name__, why=str(error))
+        with suppress(OutputFailed):  # a full disk must not keep the mirror from its rest
+            log.note("stop", error=type(error).__name__, why=str(error))
         try:
             run.taker.bench.rest()
         except BenchFault as fault:
-            log.last_words("not at rest", fault=fault.fault)
             why = error.fault if isinstance(error, TrueNewtonError) else error
             raise BenchFault(
                 f"the mirror may not be at rest ({fault.fault}), after: {why}",
-                remedy="see to the bench; the same command goes on with the campaign",
+                remedy="check the bench; the same command goes on with the campaign",
                 path=run.folder,
             ) from error
-        log.last_words("rest")
         if isinstance(error, TrueNewtonError):
             then = "the mirror is at rest, what was taken is kept; the same command goes on"
-            then += ", once that is mended" if isinstance(error, LimitExceeded) else ""
+            then += ", once that is corrected" if isinstance(error, LimitExceeded) else ""
             remedy = f"{error.remedy}; {then}" if error.remedy else then
             raise located(error, run.folder).changed(remedy=remedy) from error
         raise
@@ -238,11 +237,11 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
-    """Return the bench of a plan; files that the plan names stand relative to a folder."""
+    """Return the bench of a plan; files that the plan names are relative to ``beside``."""
     choice = plan.bench
     if choice.kind == "simulated":
         return simulated_bench(plan, beside)
-    mirror = planned_mirror(plan, beside)  # without its segment refused before anybody is called
+    mirror = planned_mirror(plan, beside)  # refuses a missing segment before any connection
     if plan.segment:
         given, number = vars(choice).items(), str(plan.segment)
         texts: dict[str, Any] = {k: text.replace(SEGMENT, number) for k, text in given
@@ -254,10 +253,7 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
 
 
 def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> SimulatedBench:
-    """Return the simulated bench of a plan, which has the same truth each time.
-
-    A segment's is that which `simulate` gives it.
-    """
+    """Return the simulated bench of a plan; its truth depends on seed and segment only."""
     seed = plan.bench.seed
     return SimulatedBench(
         planned_mirror(plan, beside),
@@ -270,7 +266,7 @@ def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") ->
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What is to be taken, where to, and by whom."""
+    """A run of a plan: what is to be taken, by what, and into which folder."""
 
     plan: CampaignPlan
     mirror: Mirror
@@ -285,7 +281,7 @@ class Run:
 
 
 def take_all(run: Run) -> None:
-    """Take whatever is missing, in the order of the plan."""
+    """Take all cycles that are missing, in the order of the plan."""
     order = mountings(run.plan)
     for index, mounting in enumerate(order):
         load = mounting.load
@@ -298,15 +294,14 @@ def take_all(run: Run) -> None:
                 _take_cycle(run, load, number, rest_force)
 
 
-def _put_on(run: Run, load: Load, number: int, *, anew: bool = False) -> Array:
-    """Have a load put on, until the forces say that it is; return those at rest, (n,) [N].
+def _put_on(run: Run, load: Load, number: int, *, again: bool = False) -> Array:
+    """Have a load put on until the forces show that it is on; return those at rest, (n,) [N].
 
-    Anew, if a bench may have forgotten it: its method is called again, but a person is asked only
-    if the forces do not show that the load is still on.
+    With ``again``, a person is asked only if the forces do not show that the load is still on.
     """
     run.taker.rest()
     bench: object = run.taker.bench
-    sums, layout, said = run.rest_sums, run.taker.bench.layout, ""
+    sums, layout, message = run.rest_sums, run.taker.bench.layout, ""
     if load.key not in sums and journal_path(run.folder, load, number).exists():
         with closing(Journal(run.folder, load, number, layout.n)) as journal:
             rows = journal.rows()
@@ -314,37 +309,36 @@ def _put_on(run: Run, load: Load, number: int, *, anew: bool = False) -> Array:
         if (before := mean_sum(layout, *columns)) is not None:
             sums[load.key] = before
     rest = Shape(load, number, 0, 1, np.zeros(layout.n))
-    ask = not anew or run.operator is bench
+    ask = not again or run.operator is bench
     for _ in range(MAX_REQUESTS):
         if ask:
             with run.taker.interruption.at_once():
                 run.operator.put_on(load)
         reading, fault = run.taker.take(rest)
         if reading is None or fault:
-            raise BenchFault(f"no sound reading at rest: {fault}", remedy="see to the bench")
+            raise BenchFault(f"no sound reading at rest: {fault}", remedy="check the bench")
         total = sum_at_rest(layout, reading.force)
         error = sum_error(layout, reading, run.plan.samples)
         on, why = judge(run.mirror.weight, run.plan.loads, load, sums, total, error)
         run.taker.log.note("load", load=load.name, on=on, total=total, why=why)
-        said = f"'{load.name}' is {'not ' if on is False else ''}on: {why}"
-        run.taker.onlooker.say(said)
+        message = f"'{load.name}' is {'not ' if on is False else ''}on: {why}"
+        run.taker.onlooker.say(message)
         if on or (ask and on is None):
             sums[load.key] = total
             run.taker.guard.check_room(run.plan, run.mirror, load, reading.force)
             return reading.force
         ask = True
     raise BenchFault(
-        said,
-        remedy="put it on as the plan says; if it is on, see that Force is the whole commanded"
-        " force, positive along +z (docs/hardware.md)",
+        message,
+        remedy="put it on as the plan specifies; if it is on, check that Force is the whole"
+        " commanded force, positive along +z (docs/hardware.md)",
     )
 
 
 def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
-    """Take what is missing of a cycle, and write its file."""
+    """Take the missing shapes of a cycle, and write its file."""
     planned = list(product(range(1, len(run.shapes) + 1), (1, -1)))
     with closing(Journal(run.folder, load, number, run.taker.bench.layout.n)) as journal:
-        journal.check_order(planned)
         if journal.count or journal.dropped:
             run.taker.log.note(
                 "resume", load=load.name, cycle=number, kept=journal.count, cut=journal.dropped
@@ -372,36 +366,42 @@ def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
 
 
 def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
-    """Take one shape into the journal; return its forces [N] where they are valid."""
+    """Take one shape into the journal; return its forces [N] if they are valid."""
     taker = run.taker
     try:
         taker.interruption.check()
-        start = time.monotonic()
-        reading, fault = taker.take(shape, forecast, lambda why: _put_on_anew(run, shape, why))
+        reading, fault = taker.take(shape, forecast, lambda why: _put_on_again(run, shape, why))
     except Interrupted:
         raise Interrupted(f"stopped as asked, before {shape_name(shape)}") from None
     sound = None if fault else reading
     instant = run.clock.instant(sound.time if sound else None)
-    noise = force_noise(taker.bench.layout, reading)
-    journal.append(instant, shape, not fault, reading, noise)
-    taker.progress = taker.progress.with_taken(shape, not fault, time.monotonic() - start)
+    journal.append(instant, shape, not fault, reading, force_noise(taker.bench.layout, reading))
+    now = taker.progress
+    in_a_row = now.invalid_in_a_row + 1 if fault else 0
+    taker.progress = replace(
+        now,
+        shape=shape,
+        done=now.done + 1,
+        invalid=now.invalid + bool(fault),
+        invalid_in_a_row=in_a_row,
+    )
     taker.onlooker.progress(taker.progress)
-    in_a_row, at_end = taker.progress.in_a_row, (shape.number, shape.sign) == (len(run.shapes), -1)
+    at_end = (shape.number, shape.sign) == (len(run.shapes), -1)
     if in_a_row == MAX_INVALID_IN_A_ROW or (at_end and in_a_row >= MAX_INVALID_AT_END):
         raise BenchFault(
             f"{in_a_row} shapes in a row gave no sound reading, the last {shape_name(shape)}:"
             f" {fault}",
-            remedy="see to the bench",
+            remedy="check the bench",
         )
     return sound.force if sound else None
 
 
-def _put_on_anew(run: Run, shape: Shape, why: str) -> None:
-    """Have the load of a shape put on again, as after a server was started anew."""
+def _put_on_again(run: Run, shape: Shape, why: str) -> None:
+    """Have the load of a shape put on again, as after a server was restarted."""
     load = shape.load
     run.taker.log.note("load again", shape, why=why)
     run.taker.onlooker.say(
         f"the bench refuses a shape ({why}): it may have lost its load; '{load.name}' is put on"
         " again"
     )
-    _put_on(run, load, shape.cycle, anew=True)
+    _put_on(run, load, shape.cycle, again=True)

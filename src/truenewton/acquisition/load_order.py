@@ -1,27 +1,24 @@
-"""The order of the loads: which is put on when, for which cycles, and what drift then costs.
+"""The order of the loads: which is put on when, for which cycles, and the errors by drift.
 
-With one turn all cycles of a load are taken before the next is put on. With more, the loads are
-taken there and back, and there again, each time with a part of the cycles:
+With one turn all cycles of a load are taken before the next is put on. With more turns, the loads
+are taken back and forth, each time with a part of the cycles:
 
     turns   parts of the cycles     bare and ring, 4 cycles         times at which, in changes
     1       1                       bare 4, ring 4                  0, 1
     2       1 : 1                   bare 2, ring 4, bare 2          0, 1, 2
     3       1 : 2 : 1               bare 1, ring 3, bare 3, ring 1  0, 1, 2, 3
 
-Of each load and its neighbour the parts are binomial coefficients, so the difference of their means
-is a finite difference of as high an order as there are turns: what drifts evenly falls out of two
-turns, what drifts as the square of time out of three.
+The parts are binomial coefficients. The difference of the means of two loads is therefore a finite
+difference of the order of the turns: two turns cancel linear drift, three quadratic drift.
 
-What drift costs the common scale follows from statics alone.
-A gain that all coils share leaves elastic forces in balance; what it spoils is the sum of the
-forces at rest, S_l = sum nz_i alpha_i c_i = -(W_l + B), from which the scale s and B follow:
-s S_l + B = -W_l, by least squares over the loads. So a sum that is read wrong by dS_l moves
+Drift of the common scale follows from statics. A gain common to all coils keeps elastic forces in
+balance, but changes the sums of the forces at rest, S_l = sum nz_i alpha_i c_i = -(W_l + B). The
+scale s and B follow from s S_l + B = -W_l by least squares over the loads, so an error dS_l gives
 
     ds / s = sum r_l dS_l,      under two loads  r = (+1, -1) / (S_2 - S_1),
 
-where alpha drifts by g an hour, dS_l = -g h_l S_l, with h_l the mean hour of the cycles under a
-load: under two loads g times what is held, over what the loads differ by, times the hours between
-them. Zeros of the readings add n alpha z, once by the hour and once for each mounting.
+If alpha drifts by g an hour, dS_l = -g h_l S_l, with h_l the mean hour of the cycles under a load.
+Zeros of the readings add n alpha z, per hour and per mounting.
 """
 
 from __future__ import annotations
@@ -32,10 +29,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.acquisition.plan import MAX_CYCLES, MAX_TURNS, CampaignPlan
-from truenewton.acquisition.shapes import expected_alpha
+from truenewton.acquisition.plan import MAX_CYCLES, MAX_TURNS, CampaignPlan, expected_alpha
 from truenewton.arrays import Array
-from truenewton.bench.simulated.electronics import Control
+from truenewton.bench.simulated.loop import Control
 from truenewton.mirrors.known import Mirror
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.load import Load
@@ -43,9 +39,7 @@ from truenewton.statics.load import Load
 HOUR = 3600.0
 WEIGHT_TOLERANCE = 1e-12  # relative difference of weights that is rounding
 MIN_VARIANCE_SHARE = 1e-9  # of the errors of weights, which is left to readings
-MAX_ERROR_RATIO = (
-    0.99  # of the error without: so much less must be left for someone to mount a load again
-)
+MAX_ERROR_RATIO = 0.99  # to the error of one turn, for mounting a load again to be worth it
 
 
 @dataclass(frozen=True)
@@ -66,7 +60,7 @@ def cycles_of_turns(cycles: int, turns: int) -> tuple[int, ...]:
     """Return how many of the cycles under each load every turn takes."""
     if turns == 1:
         return (cycles,)
-    back = cycles // 2  # what drifts evenly falls out where half of the cycles are taken going back
+    back = cycles // 2  # linear drift cancels if half of the cycles are taken on the way back
     if turns == 2:
         return cycles - back, back
     last = (cycles - back) // 2
@@ -80,7 +74,7 @@ def mountings(plan: CampaignPlan, shapes: int = 0) -> tuple[Mounting, ...]:
     for turn, count in enumerate(cycles_of_turns(plan.cycles, plan.turns)):
         numbers = range(taken + 1, taken + count + 1)
         for load in plan.loads[:: -1 if turn % 2 else 1]:
-            if order and order[-1][0] is load:  # where the way turns, it stays on
+            if order and order[-1][0] is load:  # at a turn it stays on
                 order[-1] = load, range(order[-1][1].start, numbers.stop)
             else:
                 order.append((load, numbers))
@@ -128,7 +122,7 @@ class ScaleBalance:
 
 
 def scale_balance(plan: CampaignPlan, mirror: Mirror, shapes: int) -> ScaleBalance | None:
-    """Return how the scale follows from so many shapes; None where the loads leave it free."""
+    """Return how the scale follows from so many shapes; None if the loads do not fix it."""
     nz = mirror.layout.nz[mirror.layout.enabled]
     added = np.array([load.added for load in plan.loads])
     tilt = np.array([load.tilt for load in plan.loads])
@@ -165,9 +159,9 @@ def _weight_changes(plan: CampaignPlan, mirror: Mirror) -> Array:
 
 @dataclass(frozen=True)
 class OrderCost:
-    """What an order of the loads costs: time, and errors of the common scale, relative.
+    """Time and relative errors of the common scale of an order of the loads.
 
-    By drift the scale moves relative to alpha in the middle of the campaign.
+    Drift counts relative to alpha in the middle of the campaign.
     """
 
     turns: int
@@ -191,7 +185,7 @@ class OrderCost:
 
 
 def order_cost(plan: CampaignPlan, mirror: Mirror, shapes: int) -> OrderCost | None:
-    """Return what the order of a plan costs; None where the loads leave the scale free."""
+    """Return the cost of the order of a plan; None if the loads do not fix the scale."""
     balance = scale_balance(plan, mirror, shapes)
     if balance is None:
         return None
@@ -214,7 +208,7 @@ def order_cost(plan: CampaignPlan, mirror: Mirror, shapes: int) -> OrderCost | N
 
 
 def mounting_variance(plan: CampaignPlan, balance: ScaleBalance) -> Array:
-    """Return (L,) variances of S, from zeros that each mounting moves anew [N^2]."""
+    """Return (L,) variances of S, of zeros that change at each mounting [N^2]."""
     of_load, share = _shares(plan, mountings(plan))
     one = (plan.drift.remounting * balance.zero) ** 2
     return np.asarray(one * np.bincount(of_load, weights=share**2))
@@ -228,7 +222,7 @@ def _shares(plan: CampaignPlan, order: Sequence[Mounting]) -> tuple[NDArray[np.i
 
 
 def order_costs(plan: CampaignPlan, mirror: Mirror, shapes: int) -> tuple[OrderCost, ...]:
-    """Return what each number of turns costs, one first; none where the scale is free."""
+    """Return the cost of each number of turns, from one; none if the scale is not fixed."""
     turns = range(1, min(MAX_TURNS, plan.cycles) + 1) if len(plan.loads) > 1 else range(1, 2)
     costs = (order_cost(replace(plan, turns=one), mirror, shapes) for one in turns)
     return tuple(cost for cost in costs if cost is not None)
@@ -245,10 +239,10 @@ def without_remounting(plan: CampaignPlan, mirror: Mirror, shapes: int, cost: Or
 
 
 def turns_that_pay(plan: CampaignPlan, mirror: Mirror, shapes: int) -> int:
-    """Return the turns of a plan that leaves them open: as many as can be, or one.
+    """Return the turns of a plan that leaves them open: as many as possible, or one.
 
-    Loads are mounted again where that leaves the scale better known than the same time in cycles
-    of one load after the other would.
+    Loads are mounted again if the error of the scale is then smaller than if the same time were
+    spent on more cycles in one turn.
     """
     costs = order_costs(plan, mirror, shapes)
     if not costs:

@@ -1,25 +1,32 @@
-"""What a campaign shall be: shapes, loads, cycles and limits, as a person writes them down."""
+"""The plan of a campaign: shapes, loads, cycles and limits, and the shapes it leads to."""
 
 from __future__ import annotations
 
 import importlib.resources
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
+from truenewton.arrays import Array
 from truenewton.bench.protocol import BENCH_KINDS, MAX_SAMPLES, BenchChoice, foreign_keys
 from truenewton.errors import FormatError, LimitExceeded
+from truenewton.files.fits import read_fits
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from, segment_from, whole_mirror_from
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
+from truenewton.mirrors.shell.shell_model import ShellModel, model_shell
 from truenewton.quantities import Quantity, check_quantities, convert_quantities
-from truenewton.records.file import SUFFIXES, cycle_name
+from truenewton.records.cycle import LARGEST_DISPLACEMENT
+from truenewton.records.file import SUFFIXES, cycle_name, stiffness_from
 from truenewton.rounding import numbered
 from truenewton.statics.layout import MAX_ACTUATORS, Layout
 from truenewton.statics.load import Load, check_load
+from truenewton.statics.modes import scaled_modes, stiffness_modes
 
 MAX_CYCLES, MAX_TURNS = 999, 3
 MIN_POSITIVE, MAX_NUMBER = 1e-12, 1e9  # of any number of a plan: squares of both stay numbers
@@ -37,22 +44,29 @@ def _count(low: int, high: int) -> Quantity:
     return Quantity("", low, high, f"give {low} to {high}")
 
 
+class Table:
+    """Base of the tables of a plan, whose numbers may be given with units."""
+
+    def __post_init__(self) -> None:
+        convert_quantities(self)
+
+
 @dataclass(frozen=True)
-class PlannedShapes:
-    """Which shapes, and how large.
+class PlannedShapes(Table):
+    """Which shapes are taken, and how large they are.
 
     Attributes
     ----------
     source
-        'modes': the stiffness modes of the model; else a file: a stiffness file for its measured
-        modes, or a FITS image of shapes x actuators [m], taken as it stands.
+        'modes': stiffness modes of the model. Otherwise a file: a stiffness file for its measured
+        modes, or a FITS image SHAPES of shapes x actuators [m], which is not scaled.
     count
         How many, softest first; 0 for all.
     stroke
         Largest displacement of an actuator in any shape [m].
     force
-        Largest force of an actuator that a shape may take, static forces aside [N]: true by the
-        model, commanded by a measured matrix.
+        Largest force of an actuator in a shape, without static forces [N]: true force by the model,
+        commanded force by a measured matrix.
 
     Examples
     --------
@@ -69,20 +83,17 @@ class PlannedShapes:
     stroke: float = 1e-6
     force: float = 0.3
 
-    def __post_init__(self) -> None:
-        convert_quantities(self)
-
 
 @dataclass(frozen=True)
-class MirrorLimits:
-    """Limits of the mirror; checked before each command and after each reading.
+class MirrorLimits(Table):
+    """Limits of the mirror, checked before each command and after each reading.
 
     Attributes
     ----------
     force
         Largest commanded force of an actuator [N].
     saturation
-        Commanded force at which a coil saturates, which no sample may come near [N]; 0.8 N [conf].
+        Commanded force at which a coil saturates [N]; 0.8 N [conf].
     displacement
         Largest displacement of an actuator from rest [m].
     gap
@@ -108,13 +119,10 @@ class MirrorLimits:
     gap: float = 30e-6
     temperature: tuple[float, float] = (-10.0, 40.0)
 
-    def __post_init__(self) -> None:
-        convert_quantities(self)
-
 
 @dataclass(frozen=True)
-class AssumedDrift:
-    """What drifts during a campaign, as far as the prediction reckons with it [guess].
+class AssumedDrift(Table):
+    """Drift during a campaign, as assumed by the prediction [guess].
 
     Attributes
     ----------
@@ -123,11 +131,11 @@ class AssumedDrift:
     zero
         Change of the zeros of all force readings in an hour [N].
     remounting
-        Standard deviation by which the zeros of all move at each change of load [N].
+        Standard deviation of the change of all zeros at each change of load [N].
 
     Examples
     --------
-    >>> tn.AssumedDrift(alpha=0.001)  # calm weather
+    >>> tn.AssumedDrift(alpha=0.001)
     AssumedDrift(alpha=0.001, zero=1e-05, remounting=1e-05)
     """
 
@@ -139,22 +147,19 @@ class AssumedDrift:
     zero: float = 1e-5
     remounting: float = 1e-5
 
-    def __post_init__(self) -> None:
-        convert_quantities(self)
-
 
 @dataclass(frozen=True)
-class AssumedSensors:
-    """What the prediction of reciprocity reckons with.
+class AssumedSensors(Table):
+    """Properties of the sensors, as assumed by the prediction of reciprocity.
 
     Attributes
     ----------
     noise
         Standard deviation of one position reading [m]; 3 nm a sample, of 2048 [paper].
     gain
-        Of true displacement / reading over the sensors, relative; 0 where it is known.
+        Scatter of true displacement / reading over the sensors, relative; 0 if it is known.
     offset
-        Of how far the sensors sit off their magnets along an axis [m]; 0 where they do not.
+        Scatter of the distance of a sensor from its magnet along an axis [m].
     """
 
     QUANTITIES: ClassVar = {
@@ -165,42 +170,36 @@ class AssumedSensors:
     gain: float = 4e-3
     offset: float = 5e-4
 
-    def __post_init__(self) -> None:
-        convert_quantities(self)
-
 
 @dataclass(frozen=True)
-class CampaignPlan:
-    """A day at the bench.
+class CampaignPlan(Table):
+    """A campaign: mirror, loads, cycles, shapes and limits.
 
     Attributes
     ----------
     mirror
-        Name of a known mirror, or a TOML file of one.
+        Name of a known mirror, or its TOML file.
     loads
-        In the order in which they are put on first; two different ones at least give the scale.
+        In the order in which they are put on first. At least two different ones fix the scale.
     cycles
         Runs through all shapes, both signs, under each load.
     samples
         Of one reading.
     settling
-        Time given to the mirror after each command [s]; by itself what the pseudo-integrator of
-        P45 takes (docs/simulated-bench.md).
+        Time between command and reading [s]; by default that of P45 (docs/simulated-bench.md).
     pause
-        Time that it takes to change the load [s]; for the prediction only.
+        Time to change the load [s]; for the prediction only.
     force_noise
-        Standard deviation of one reading that the prediction reckons with [N].
+        Standard deviation of one reading [N]; for the prediction only.
     shapes, limits, bench
-        As they say.
+        Tables of the plan.
     turns
-        How often the way goes through the loads, there and back (`mountings`): 1, all cycles of a
-        load before the next is put on; 2, bare-ring-bare; 3, bare-ring-bare-ring; 0, what pays.
-    drift
-        What the choice of turns reckons with; for the prediction only.
-    sensors
-        What the prediction of reciprocity reckons with.
+        How often the loads are put on in turn, back and forth (`mountings`). 1: all cycles of a
+        load before the next. 2: bare-ring-bare. 3: bare-ring-bare-ring. 0: chosen by drift.
+    drift, sensors
+        Assumptions of the prediction.
     segment
-        Number of the one segment that is taken, of a mirror in several; 0 of one in one piece.
+        Number of the segment of a segmented mirror; 0 for a mirror in one piece.
 
     Examples
     --------
@@ -232,7 +231,7 @@ class CampaignPlan:
     segment: int = 0
 
     def __post_init__(self) -> None:
-        convert_quantities(self)
+        super().__post_init__()
         check_quantities(self)
         if self.turns > self.cycles:
             raise _wrong("turns", self.turns, "give no more turns than cycles, or 0 for what pays")
@@ -252,12 +251,12 @@ class CampaignPlan:
             if planned > limit:
                 raise LimitExceeded(
                     f"shapes.{what} is {planned:g}, beyond its limit of {limit:g}",
-                    remedy="plan smaller shapes", got=planned, want=limit,
+                    remedy="plan smaller shapes",
                 )  # fmt: skip
 
 
 def _check_loads(loads: Sequence[Load]) -> None:
-    """Refuse loads that cannot be, and those with the same name or file."""
+    """Refuse loads that are not valid, and those with the same name or file."""
     files: dict[str, Load] = {}
     for load in loads:
         try:
@@ -267,7 +266,7 @@ def _check_loads(loads: Sequence[Load]) -> None:
         for name in (load.name, load.tool or ""):
             if not (name.isascii() and name.isprintable()):
                 raise FormatError(
-                    f"the name {name!r} of a load or tool cannot stand in a FITS header",
+                    f"the name {name!r} of a load or tool is not allowed in a FITS header",
                     remedy="write it in plain ASCII",
                 )
         other = files.setdefault(cycle_name(load, 1), load)
@@ -282,11 +281,11 @@ def _check_loads(loads: Sequence[Load]) -> None:
 
 
 def _wrong(name: str, got: Any, remedy: str) -> FormatError:
-    return FormatError(f"{name} is {got!r}", remedy=remedy, got=got)
+    return FormatError(f"{name} is {got!r}", remedy=remedy)
 
 
 def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
-    """Read a plan (TOML); files that it names stand relative to it.
+    """Read a plan (TOML); files that it names are relative to it.
 
     Parameters
     ----------
@@ -313,25 +312,25 @@ def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
 
 
 def template() -> str:
-    """Return a commented plan (TOML), valid as it stands: P45 without and with the ring."""
+    """Return a commented plan (TOML), valid without changes: P45 without and with the ring."""
     file = importlib.resources.files("truenewton.acquisition") / "plan.toml"
     return file.read_text(encoding="utf-8")
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:
-    """Return the mirror of a plan, or its segment; a file stands relative to the plan's folder."""
+    """Return the mirror of a plan, or its segment; a file is relative to the plan's folder."""
     name = _mirror_of(plan, folder)
     return segment_from(name, plan.segment)[0] if plan.segment else mirror_from(name)
 
 
 def recorded_layout(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Layout:
-    """Return the actuators as in cycle files, which place those of a segment as in the whole."""
+    """Return the layout of the cycle files, where a segment is placed as in the whole mirror."""
     name = _mirror_of(plan, folder)
     return segment_from(name, plan.segment)[1] if plan.segment else mirror_from(name).layout
 
 
 def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> dict[str, Mirror]:
-    """Return the mirror of a plan, or the segments of it that differ; by how to call each."""
+    """Return the mirror of a plan, or those of its segments that differ, by their names."""
     if plan.segment:
         one = planned_mirror(plan, folder)
         return {one.name: one}
@@ -348,3 +347,67 @@ def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> 
 def _mirror_of(plan: CampaignPlan, folder: str | os.PathLike[str]) -> Path | str:
     beside = Path(folder) / plan.mirror
     return beside if beside.is_file() else plan.mirror
+
+
+def expected_alpha(mirror: Mirror) -> float:
+    """Return the alpha that a plan assumes: the middle of the mirror's range."""
+    return float(np.mean(mirror.alpha_range))
+
+
+def shapes_and_forces(
+    plan: CampaignPlan,
+    mirror: Mirror,
+    folder: str | os.PathLike[str] = ".",
+    glass: ShellModel | None = None,
+) -> tuple[Array, Array, bool]:
+    """Return the (shapes, n) displacements of a plan [m] and their commanded forces [N].
+
+    Each shape is taken with both signs. The forces are without those of the loads: by the measured
+    matrix if it gives the shapes, else by the model over `expected_alpha`. Those of disabled
+    actuators are 0. The third value is whether a file gives the shapes, which are then not scaled.
+    """
+    on, path = mirror.layout.enabled, Path(folder) / plan.shapes.source
+    file = None if plan.shapes.source == "modes" else read_fits(path)
+    given = file is not None and "STIFFNESS" not in file.extensions
+    if file is None:
+        true = (glass or model_glass(mirror)).stiffness
+        stiffness = true / expected_alpha(mirror)
+        chosen = _scaled(stiffness_modes(true).modes.T, true, plan)
+    elif not given:
+        matrix = stiffness_from(file)
+        if apart := mirror.layout.difference(matrix.layout):
+            raise FormatError(
+                f"is not of the actuators of {mirror.name}: {apart}",
+                remedy="plan with the measured matrix of the same mirror",
+                path=path,
+            )
+        stiffness = matrix.used_stiffness
+        chosen = _scaled(np.linalg.svd(stiffness)[2][::-1], stiffness, plan)
+    else:
+        image = file.pixels("SHAPES", "m")
+        if image.ndim != 2 or image.shape[1] != on.size or not len(image):
+            raise FormatError(
+                f"SHAPES is {image.shape}", remedy=f"give shapes x {on.size} actuators", path=path
+            )
+        chosen = image[: plan.shapes.count or None, on]
+        if not (np.abs(chosen) <= LARGEST_DISPLACEMENT).all():
+            raise FormatError(
+                "SHAPES holds NaN, inf or absurd values", remedy="correct it", path=path
+            )
+        stiffness = (glass or model_glass(mirror)).stiffness / expected_alpha(mirror)
+    shapes, force = np.zeros((2, len(chosen), on.size))
+    shapes[:, on], force[:, on] = chosen, chosen @ stiffness.T
+    return shapes, force, given
+
+
+def _scaled(modes: Array, stiffness: Array, plan: CampaignPlan) -> Array:
+    """Return as many (shapes, n) modes as planned, scaled to stroke and force."""
+    shapes = plan.shapes
+    return scaled_modes(modes[: shapes.count or None], stiffness, shapes.stroke, shapes.force)
+
+
+def model_glass(mirror: Mirror) -> ShellModel:
+    """Return the shell model of a plan, supported by the enabled actuators only."""
+    layout, on = mirror.layout, mirror.layout.enabled
+    enabled = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
+    return model_shell(replace(mirror, layout=enabled))

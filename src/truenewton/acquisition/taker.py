@@ -1,43 +1,246 @@
 """Taking one shape: limits before and after, and again if the reading is not sound.
 
-An onlooker is shown how it goes, and Ctrl-C ends the run between two shapes.
+Whether a load is on follows from the forces at rest, sum nz_i alpha_i c_i = -(W + B)
+(docs/method.md). Between two loads the sum of nz_i c_i changes by -(W_1 - W_2) over a mean of
+alpha. B is unknown and alpha roughly known: two loads show whether about the right weight was put
+on or taken off, one load shows nothing.
 """
 
 from __future__ import annotations
 
 import contextlib
+import datetime
+import json
+import os
+import re
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from truenewton.acquisition.checks import Guard, shape_name
-from truenewton.acquisition.journal import RunLog
-from truenewton.acquisition.plan import CampaignPlan
-from truenewton.arrays import Array
+from truenewton.acquisition.plan import CampaignPlan, MirrorLimits
+from truenewton.arrays import Array, jsonable
 from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape
-from truenewton.errors import BenchFault, Interrupted
+from truenewton.errors import BenchFault, Interrupted, LimitExceeded
+from truenewton.files.outputs import in_one_line
+from truenewton.mirrors.known import Mirror
+from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+SATURATION_SIGMAS = 3.0  # standard deviations beyond the mean, where no sample may saturate
+# alpha lies between 0.7 and 1.1 [paper]; a simulated P45 gave 0.96 to 1.38 in 60 draws.
+CHANGE_RANGE = (0.6, 1.5)
+MAX_CHANGE = 0.4  # of the sum under one load, relative to the smallest step between two loads
+MIN_STEP_SIGMAS = 5.0  # standard deviations of a sum, for a step to be recognised
+
+
+@dataclass(frozen=True, eq=False)
+class Guard:
+    """Refuses whatever is beyond a limit; every method raises LimitExceeded."""
+
+    limits: MirrorLimits
+    layout: Layout
+    gap: float  # nominal distance from the reference plate [m]
+
+    def check_shapes(self, shapes: Array) -> None:
+        """Refuse (shapes, n) planned displacements [m] with a stroke beyond a limit."""
+        worst = np.abs(shapes).max(axis=1).argmax()  # NaN before any number
+        self._check_planned_stroke(shapes[worst], f"in planned shape {worst + 1}")
+
+    def check_room(self, plan: CampaignPlan, mirror: Mirror, load: Load, rest_force: Array) -> None:
+        """Refuse (n,) forces at rest [N] that leave no room for those of the shapes.
+
+        A shape takes at most the true force of the plan over the lowest alpha.
+        """
+        force = plan.shapes.force
+        largest = self._enabled(np.abs(rest_force)) + force / mirror.alpha_range[0]
+        said = f"may take {{:.4g}} N, {force:g} N for the shapes included, beyond its limit of"
+        self._refuse(largest, self.limits.force, said, f"at rest under '{load.name}'")
+
+    def check_command(self, shape: Shape, forecast: Array | None) -> None:
+        """Refuse a command before it is given, also by its forecast (n,) forces [N], if any."""
+        where = f"in {shape_name(shape)}, which was not commanded"
+        self._check_planned_stroke(shape.position, where)
+        if forecast is not None:
+            said = "takes {:.4g} N by forecast, beyond its limit of"
+            self._refuse(self._enabled(forecast), self.limits.force, said, where)
+
+    def check_reading(self, shape: Shape, reading: Reading) -> None:
+        """Refuse a reading beyond a limit; NaN is not judged here."""
+        where, limits = f"in {shape_name(shape)}", self.limits
+        force = self._enabled(np.abs(reading.force))
+        self._refuse(force, limits.force, "takes {:.4g} N, beyond its limit of", where)
+        sampled = force + SATURATION_SIGMAS * self._enabled(np.nan_to_num(reading.force_scatter))
+        said = "takes {:.4g} N in single samples, beyond saturation at"
+        self._refuse(sampled, limits.saturation, said, where)
+        self._check_stroke(self._enabled(reading.position), where)
+        low, high = limits.temperature
+        if reading.temperature < low or reading.temperature > high:
+            raise LimitExceeded(
+                f"the mirror has {reading.temperature:g} deg C {where}, and may have {low:g} to"
+                f" {high:g}",
+                remedy="wait until it has",
+            )
+
+    def _enabled(self, values: Array) -> Array:
+        return np.where(self.layout.enabled, values, 0.0)
+
+    def _check_planned_stroke(self, position: Array, where: str) -> None:
+        """Refuse a stroke, also of disabled actuators, which the glass follows; refuse NaN."""
+        if not np.isfinite(position).all():
+            raise LimitExceeded(f"a displacement is NaN, {where}", remedy="correct the shape")
+        self._check_stroke(position, where)
+
+    def _check_stroke(self, position: Array, where: str) -> None:
+        said = "takes {:.4g} m of stroke, beyond its limit of"
+        self._refuse(position, self.limits.displacement, said, where)
+        # The plate may be on either side.
+        said = f"takes {{:.4g}} m of a gap of {self.gap:g} m, beyond its limit of"
+        self._refuse(position, self.gap - self.limits.gap, said, where)
+
+    def _refuse(self, values: Array, limit: float, said: str, where: str) -> None:
+        """Raise LimitExceeded if an actuator has more than a limit; NaN is not more."""
+        size = np.where(np.isnan(values), 0.0, np.abs(values))
+        worst = int(size.argmax())
+        if size[worst] > limit:
+            raise LimitExceeded(
+                f"actuator {self.layout.id[worst]} {said.format(size[worst])} {limit:g}, {where}",
+                remedy="find out why, or use another plan and folder",
+            )
+
+
+def shape_name(shape: Shape) -> str:
+    """Return which shape it is, for people."""
+    which = f"shape {shape.number} {'+' if shape.sign > 0 else '-'}" if shape.number else "rest"
+    return f"{which} of cycle {shape.cycle} under '{shape.load.name}'"
+
+
+def sum_at_rest(layout: Layout, force: Array) -> float:
+    """Return the sum of nz_i c_i of the enabled actuators [N]."""
+    on = layout.enabled
+    return float(layout.nz[on] @ force[on])
+
+
+def mean_sum(
+    layout: Layout,
+    force: Array,
+    shape: NDArray[np.int64],
+    sign: NDArray[np.int64],
+    valid: NDArray[np.bool_],
+) -> float | None:
+    """Return the sum at rest by (N, n) commanded forces [N]; None if no shape has both signs.
+
+    Of shapes that have: there the elastic forces cancel.
+    """
+    plus, minus = (valid.astype(bool) & (sign == each) for each in (1, -1))
+    both = np.isin(shape, np.intersect1d(shape[plus], shape[minus]))
+    if not both.any():
+        return None
+    means = [force[both & each].mean(axis=0) for each in (plus, minus)]
+    return sum_at_rest(layout, np.mean(means, axis=0))
+
+
+def sum_error(layout: Layout, reading: Reading, samples: int) -> float:
+    """Return the standard deviation of that sum [N]; 0 if unknown.
+
+    From the scatter of independent samples if the bench does not give the error of the mean.
+    """
+    error = reading.force_error
+    if error is None:
+        error = reading.force_scatter / np.sqrt(samples)
+    return float(np.linalg.norm(np.nan_to_num((layout.nz * error)[layout.enabled])))
+
+
+def judge(
+    weight: float,
+    loads: Iterable[Load],
+    load: Load,
+    rest_sums: Mapping[str, float],
+    total: float,
+    error: float = 0.0,
+) -> tuple[bool | None, str]:
+    """Return whether a load of a plan is on, and why; None if the forces do not show it.
+
+    The sum at rest now and its error [N] are compared with the sums under the loads that were on
+    before [N], by key. ``weight`` is P of the mirror [N].
+    """
+    names = {each.key: each.name for each in loads}
+    weights = {each.key: float(effective_weight(weight, each.added, each.tilt)) for each in loads}
+    step = {key: other - weights[load.key] for key, other in weights.items()}
+    smallest = min((abs(value) for value in step.values() if value), default=0.0)
+    if smallest * MAX_CHANGE <= MIN_STEP_SIGMAS * error:
+        return None, f"the loads differ by {smallest:.3g} N, too little to distinguish them"
+    compared = [key for key in rest_sums if key == load.key or step[key]]
+    if not compared:
+        return None, "no other load to compare with yet: taken on trust"
+    for key in compared:
+        change, name = total - rest_sums[key], names[key]
+        changed = f"the sum of the forces changed by {change:.4g} N"
+        if key == load.key:
+            if abs(change) > MAX_CHANGE * smallest:
+                return False, f"{changed} since '{name}' was on before"
+        elif not CHANGE_RANGE[0] <= change / step[key] <= CHANGE_RANGE[1]:
+            low, high = (100 * part for part in CHANGE_RANGE)
+            due = f"{step[key]:.4g} N are due ({low:.0f} to {high:.0f} % of it)"
+            sign = ": the wrong way, as if Force is not positive along +z"
+            turned = sign if change / step[key] <= -CHANGE_RANGE[0] else ""
+            return False, f"{changed} from '{name}', where {due}{turned}"
+    beside = ", ".join(f"'{names[key]}'" for key in compared)
+    return True, f"the sum of the forces is {total:.4g} N, as due beside {beside}"
+
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-POLL_INTERVAL = 0.05  # [s], after which a sleep looks whether to stop
+POLL_INTERVAL = 0.05  # between two checks of a sleep for an interruption [s]
 MAX_ATTEMPTS = 3  # of each shape, before it is marked as not valid
-MAX_ABSENCE = 120.0  # with a bench that is gone [s]
-POSITION_TOLERANCE = 0.1  # of a shape's largest displacement, by which an actuator may miss it
+MAX_ABSENCE = 120.0  # of a bench that is gone [s]
+POSITION_TOLERANCE = 0.1  # of an actuator, relative to the largest displacement of the shape
 POSITION_SIGMAS = 6.0  # standard deviations of a sample besides
-FIRST_WAIT, LONGEST_WAIT = 0.5, 10.0  # between two looks at it [s]
-HANG_TIME, MAX_HANGS = 30.0, 2  # a fault after so long [s], so many times in a row, ends a run
+FIRST_WAIT, LONGEST_WAIT = 0.5, 10.0  # between two looks at a bench that is gone [s]
+
+
+class RunLog:
+    """Writes events to a new file run-001.jsonl, run-002.jsonl, ... of a campaign's folder."""
+
+    def __init__(self, folder: Path) -> None:
+        with in_one_line(folder):
+            numbers = [
+                int(name[1])
+                for path in folder.iterdir()
+                if (name := re.fullmatch(r"run-(\d+)\.jsonl", path.name))
+            ]
+            self.path = folder / f"run-{max(numbers, default=0) + 1:03d}.jsonl"
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
+            self._handle = os.open(self.path, flags, 0o666)
+        self._start = time.monotonic()
+
+    def note(self, event: str, of: Shape | None = None, **values: Any) -> None:
+        """Write one line, of a shape or not."""
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+        elapsed = round(time.monotonic() - self._start, 4)
+        line: dict[str, Any] = {"time": now, "elapsed": elapsed, "event": event}
+        if of is not None:
+            line |= {"load": of.load.name, "cycle": of.cycle, "shape": of.number, "sign": of.sign}
+        text = json.dumps(jsonable(line | values))
+        with in_one_line(self.path):
+            os.write(self._handle, text.encode() + b"\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._handle)
 
 
 class Interruption:
     """Notes the first signal, and raises KeyboardInterrupt at the second.
 
-    Signals reach the main thread only; elsewhere nothing is noted.
+    Signals reach the main thread only; in other threads nothing is noted.
     """
 
     def __init__(self) -> None:
@@ -60,13 +263,13 @@ class Interruption:
         self.asked = True
 
     def check(self) -> None:
-        """Stop here if someone asked."""
+        """Raise Interrupted after the first signal."""
         if self.asked:
             raise Interrupted("stopped as asked")
 
     @contextlib.contextmanager
     def at_once(self) -> Iterator[None]:
-        """Let one signal do, where no shape is under way but somebody is waited for."""
+        """Let the first signal end the block: a person is awaited, and no shape is under way."""
         self._at_once = True
         try:
             yield
@@ -76,7 +279,7 @@ class Interruption:
             self._at_once = False
 
     def sleep(self, seconds: float) -> None:
-        """Sleep, but no longer than until someone asks to stop."""
+        """Sleep, or raise Interrupted as soon as there is a signal."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self.check()
@@ -95,31 +298,12 @@ class Progress:
     total: int
     smallest_gap: float  # so far in this run [m]
     largest_force: float = 0.0  # [N]
-    taken: int = 0  # shapes of this run
-    seconds: float = 0.0  # that they took; changing loads is not counted
     invalid: int = 0  # shapes of this run that are not valid
-    in_a_row: int = 0  # of the last ones
-
-    @property
-    def seconds_left(self) -> float:
-        """At the pace of this run [s]."""
-        return self.seconds / self.taken * (self.total - self.done)
-
-    def with_taken(self, shape: Shape, valid: bool, seconds: float) -> Progress:
-        """Return how far it is with one shape more, which took so long [s]."""
-        return replace(
-            self,
-            shape=shape,
-            done=self.done + 1,
-            taken=self.taken + 1,
-            seconds=self.seconds + seconds,
-            invalid=self.invalid + (not valid),
-            in_a_row=0 if valid else self.in_a_row + 1,
-        )
+    invalid_in_a_row: int = 0  # of the last ones
 
 
 class Onlooker(Protocol):
-    """Who is shown how a campaign goes."""
+    """Is shown how a campaign proceeds."""
 
     def progress(self, now: Progress) -> None:
         """Show how far it is; called after each shape."""
@@ -129,7 +313,7 @@ class Onlooker(Protocol):
 
 
 class SilentOnlooker:
-    """An onlooker who shows nothing."""
+    """An onlooker that shows nothing."""
 
     def progress(self, now: Progress) -> None:
         """Show nothing."""
@@ -154,7 +338,6 @@ class Taker:
         self._counter: int | None = None
         self._sound: tuple[Shape, Reading] | None = None  # the last
         self._rest: Reading | None = None  # the last of the mirror at rest
-        self._hung = 0  # attempts in a row
 
     def take(
         self,
@@ -162,26 +345,26 @@ class Taker:
         forecast: Array | None = None,
         refused: Callable[[str], None] | None = None,
     ) -> tuple[Reading | None, str]:
-        """Command a shape, with (n,) forces [N] forecast, and read it, up to `MAX_ATTEMPTS` times.
+        """Command a shape and read it, up to `MAX_ATTEMPTS` times.
 
-        Return the last reading, if there is one, and why it is not valid, or an empty text. If a
-        bench refuses the command, `refused` is called with the reason, once, before it is given
-        again. A bench that is gone and does not come back, or hangs, is a `BenchFault`.
+        Return the last reading, if any, and why it is not valid, or ''. The (n,) ``forecast`` of
+        the forces [N] is checked against the limits first. If the bench refuses the command,
+        ``refused`` is called once with the reason. A bench that is gone for too long is a
+        `BenchFault`.
         """
         self.guard.check_command(shape, forecast)
         reading, fault = None, ""
         for attempt in range(1, MAX_ATTEMPTS + 1):
             self._await_bench()
-            begun, commanded = time.monotonic(), False
+            commanded = False
             try:
                 self._command(shape)
                 commanded = True
                 reading = self._read(shape)
             except BenchFault as error:
-                fault = _words(error)
-                self._end_where_it_hangs(time.monotonic() - begun - self.plan.settling, fault)
+                remedy = f" ({error.remedy})" if error.remedy else ""
+                fault = f"{error.fault or 'a fault without a message'}{remedy}"
             else:
-                self._hung = 0
                 fault = self._unsound(shape, reading)
                 self._counter = reading.counter
                 if not fault:
@@ -208,19 +391,8 @@ class Taker:
             else:
                 return
 
-    def _end_where_it_hangs(self, seconds: float, fault: str) -> None:
-        """End a run on a bench that takes long for each fault, as one that does not answer."""
-        self._hung = self._hung + 1 if seconds > HANG_TIME else 0
-        if self._hung == MAX_HANGS:
-            raise BenchFault(
-                f"the bench hangs: {MAX_HANGS} attempts in a row failed, the last after"
-                f" {seconds:.0f} s: {fault}",
-                remedy="see to it",
-            )
-
     def _command(self, shape: Shape) -> None:
-        stroke = float(np.abs(shape.position).max())
-        self.log.note("command", shape, stroke=stroke)
+        self.log.note("command", shape, stroke=float(np.abs(shape.position).max()))
         self.bench.command(shape)
 
     def _read(self, shape: Shape) -> Reading:
@@ -261,7 +433,7 @@ class Taker:
         return reading
 
     def _unsound(self, shape: Shape, reading: Reading) -> str:
-        """Return what speaks against a reading, or nothing."""
+        """Return why a reading is not sound, or ''."""
         layout, on, before = self.bench.layout, self.bench.layout.enabled, None
         if self._sound is not None and not np.array_equal(self._sound[0].position, shape.position):
             before = self._sound[1]
@@ -274,35 +446,35 @@ class Taker:
                 return f"no {name} has changed since the last shape: the reading is frozen"
         if not reading.settled:
             return "the mirror did not settle"
-        return self._elsewhere(shape, reading)
+        return self._position_fault(shape, reading)
 
-    def _elsewhere(self, shape: Shape, reading: Reading) -> str:
-        """Say which actuator stands elsewhere than it was commanded to, or nothing.
+    def _position_fault(self, shape: Shape, reading: Reading) -> str:
+        """Return which actuator is not at its commanded position, or ''.
 
-        Counted from the mirror at rest: the zero of a sensor may be anywhere.
+        Positions are relative to the mirror at rest, since the zero of a sensor is arbitrary.
         """
         if self._rest is None or shape.number == 0:
             return ""
         on, stroke = self.bench.layout.enabled, float(np.abs(shape.position).max())
         off = np.abs(reading.position - self._rest.position - shape.position)[on]
-        beyond = (
-            off
-            - POSITION_TOLERANCE * stroke
-            - POSITION_SIGMAS * np.nan_to_num(reading.position_scatter[on])
-        )
+        scatter = reading.position_scatter[on]
+        beyond = off - POSITION_TOLERANCE * stroke - POSITION_SIGMAS * np.nan_to_num(scatter)
         worst = int(beyond.argmax())
         if beyond[worst] <= 0:
             return ""
-        scatter = reading.position_scatter[on][worst]
-        known = f"six times its position_scatter of {scatter:.2g} m"
-        unknown = (
-            "the bench gives no position_scatter, six times which is let pass: where that is"
-            " noise, give position_scatter, or plan fewer shapes (count)"
-        )
+        allowed = f"allowed are {POSITION_TOLERANCE:.0%} of the stroke"
+        if np.isfinite(scatter[worst]):
+            allowed += (
+                f" and {POSITION_SIGMAS:g} times its position_scatter of {scatter[worst]:.2g} m"
+            )
+        else:
+            allowed += (
+                f"; the bench gives no position_scatter, {POSITION_SIGMAS:g} times which would be"
+                " allowed: if that is noise, give position_scatter, or plan fewer shapes (count)"
+            )
         return (
-            f"actuator {self.bench.layout.id[on][worst]} stands {off[worst]:.3g} m from where it"
-            f" was commanded, in a shape of {stroke:.3g} m, of which a tenth is let pass"
-            f"{f', and {known}' if np.isfinite(scatter) else f'; {unknown}'}"
+            f"actuator {self.bench.layout.id[on][worst]} is {off[worst]:.3g} m from its commanded"
+            f" position in a shape of {stroke:.3g} m; {allowed}"
         )
 
     def _await_bench(self) -> None:
@@ -320,13 +492,13 @@ class Taker:
                     return
                 if not gone:
                     raise BenchFault(
-                        f"the bench takes no commands: {status.message}", remedy="see to it"
+                        f"the bench takes no commands: {status.message}", remedy="check it"
                     )
                 gone = status.message
             if time.monotonic() - start > MAX_ABSENCE:
                 raise BenchFault(
                     f"the bench did not come back within {MAX_ABSENCE:g} s ({gone})",
-                    remedy="see to it",
+                    remedy="check it",
                 )
             self.log.note("gone", fault=gone)
             self.onlooker.say(f"the bench is gone ({gone}); looking again in {wait:g} s")
@@ -334,18 +506,12 @@ class Taker:
             wait = min(2 * wait, LONGEST_WAIT)
 
 
-def _words(error: BenchFault) -> str:
-    """Return a fault and its remedy, as part of a sentence."""
-    remedy = f" ({error.remedy})" if error.remedy else ""
-    return f"{error.fault or 'a fault without a word'}{remedy}"
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
 def force_noise(layout: Layout, reading: Reading | None) -> float:
-    """Return the RMS over actuators of the error of a mean force [N]; NaN where it is unknown."""
+    """Return the RMS over actuators of the error of a mean force [N]; NaN if it is unknown."""
     if reading is None or reading.force_error is None:
         return float("nan")
-    return float(np.sqrt(np.mean(reading.force_error[layout.enabled] ** 2)))
+    return _rms(reading.force_error[layout.enabled])

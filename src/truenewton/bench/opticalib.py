@@ -1,9 +1,8 @@
-"""A mirror after opticalib's deformable-mirror protocol (opticalib 2) as a bench.
+"""A mirror that follows the deformable-mirror protocol of opticalib 2 as a bench.
 
-opticalib's devices share `n_acts`, `set_shape(cmd, differential)` and `get_shape()`; those with
+opticalib's devices share `n_acts`, `set_shape(cmd, differential)` and `get_shape()`. Those with
 force sensing (`AdOpticaDm`, `DP`, `M4AU` in opticalib.devices 2.3) add `get_force()`. Any object
-with these four will do, and `get_temperature()` is asked where it is there; opticalib itself is not
-needed here.
+with these four works, without opticalib; `get_temperature()` is called if it exists.
 """
 
 from __future__ import annotations
@@ -21,24 +20,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
-from truenewton.bench.protocol import (
-    BATCHES,
-    Reading,
-    Shape,
-    Status,
-    check_samples,
-    error_of_mean,
-)
+from truenewton.bench.protocol import BATCHES, Reading, Shape, Status, check_samples, error_of_mean
 from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror
 
-REST_SAMPLES = 64  # of the position at rest, from which displacements count
-MIN_DRIFT_SAMPLES = 32  # samples, to see from them that the mirror still moves
-DRIFT_SIGMAS = 6.0  # of the mean in standard errors, beyond which it does
+REST_SAMPLES = 64  # of the position at rest
+MIN_DRIFT_SAMPLES = 32  # samples, to detect a drift
+DRIFT_SIGMAS = 6.0  # standard errors of the mean, beyond which the mirror still moves
 
 
 class DeformableMirror(Protocol):
-    """What is asked of the object: displacements in metres along +z, forces in newtons."""
+    """The methods that the object must have: metres along +z, newtons."""
 
     @property
     def n_acts(self) -> int:
@@ -48,7 +40,7 @@ class DeformableMirror(Protocol):
         """Command (n,) displacements [m] from rest, or from the present shape if differential."""
 
     def get_shape(self) -> ArrayLike:
-        """Return the (n,) positions by the sensors [m]; their zero is free."""
+        """Return the (n,) positions by the sensors [m], with any zero."""
 
     def get_force(self) -> ArrayLike:
         """Return the (n,) commanded forces [N]."""
@@ -57,27 +49,27 @@ class DeformableMirror(Protocol):
 class OpticalibMirror:
     """A bench around an object that follows opticalib's protocol.
 
-    Displacements are counted from the positions that the sensors show at the first command, with
-    the mirror at rest: opticalib's devices add the shape of their bias to what they return.
+    Displacements are relative to the positions at rest before the first command, because
+    opticalib's devices add the shape of their bias.
 
     Parameters
     ----------
     device
         The object.
     mirror
-        What it is: name, actuators in the order of the device, gap.
+        Name, actuators in the order of the device, gap.
     settling
         Time given to the mirror after each command [s].
 
     Raises
     ------
     BenchFault
-        The object lacks something, or has another number of actuators.
+        The object lacks a method, or has another number of actuators.
 
     Attributes
     ----------
     instrument, layout, gap, gradients
-        As of `Bench` and `Graded`: those of the mirror.
+        Those of the mirror.
 
     Examples
     --------
@@ -110,8 +102,6 @@ class OpticalibMirror:
                 f"{type(device).__name__} has {device.n_acts} actuators, {mirror.name} has"
                 f" {mirror.layout.n}",
                 remedy="give the mirror that it is",
-                got=int(device.n_acts),
-                want=mirror.layout.n,
             )
         self.instrument, self.layout, self.gap = mirror.name, mirror.layout, mirror.gap
         self.gradients = mirror.coil_gradient, mirror.bias_gradient
@@ -139,9 +129,7 @@ class OpticalibMirror:
     def read(self, samples: int) -> Reading:
         """Return the mean of so many calls of get_force and get_shape.
 
-        The mirror counts as settled where the mean position of the second half of the samples lies
-        within 6 standard errors of that of the first, for every actuator; always below 32 samples.
-        Readings that are to the bit the ones before do not move the counter.
+        The counter stays if the last sample is identical to that of the reading before.
         """
         check_samples(samples)
         if not self._in_shape or self._rest is None:
@@ -201,7 +189,7 @@ class OpticalibMirror:
 
     @contextlib.contextmanager
     def _faults(self, what: str) -> Iterator[None]:
-        """Turn whatever the object raises into a fault."""
+        """Turn any exception of the object into a fault."""
         try:
             yield
         except Exception as error:
@@ -212,7 +200,10 @@ class OpticalibMirror:
 
 
 def _still(position: Array) -> bool:
-    """Return whether the second half of (samples, n) positions has the mean of the first."""
+    """Return whether both halves of (samples, n) positions have the same mean.
+
+    Within `DRIFT_SIGMAS` standard errors, for each actuator; always true for few samples.
+    """
     half = len(position) // 2
     if len(position) < MIN_DRIFT_SAMPLES:
         return True
@@ -226,8 +217,7 @@ def from_address(
 ) -> OpticalibMirror:
     """Return a bench around the object that `module:object` names, or that it makes when called.
 
-    The module is installed, or lies in the folder of the plan. A name that does not exist is an
-    `UnknownName`; an object that cannot be made, or is no such mirror, a `BenchFault`.
+    The module is installed, or is in the folder of the plan.
     """
     module, _, name = address.partition(":")
     sys.path.insert(0, os.fspath(folder))
@@ -239,7 +229,6 @@ def from_address(
         raise UnknownName(
             f"there is no mirror '{address}' ({error})",
             remedy="write bench.address as module:object",
-            got=address,
         ) from error
     finally:
         sys.path.remove(os.fspath(folder))

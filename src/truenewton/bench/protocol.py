@@ -1,4 +1,4 @@
-"""What acquisition asks of a bench, hardware or not, and which bench a plan names."""
+"""The protocol between acquisition and a bench, and which bench a plan names."""
 
 from __future__ import annotations
 
@@ -34,8 +34,7 @@ class Shape:
     Attributes
     ----------
     load, cycle, number, sign
-        Under which load, in which cycle (from 1), which shape (from 1; 0 is the mirror at rest),
-        +1 or -1.
+        Load, cycle (from 1), shape (from 1; 0 is the mirror at rest), and +1 or -1.
     position
         (n,) displacement along +z from rest, by the sensors [m].
 
@@ -68,18 +67,17 @@ class Reading:
     temperature
         [deg C]; NaN if it is not measured.
     counter
-        Grows with every new reading of the electronics: one that stands still is stale.
+        Increases with every new reading of the electronics; otherwise the reading is stale.
     settled
         Whether the mirror had come to rest before the first sample.
     force_error
-        (n,) standard deviation of the mean force [N]; None if it is not known how far the
-        samples depend on each other. `error_of_mean` finds it from samples.
+        (n,) standard deviation of the mean force [N], as from `error_of_mean`; None if the
+        correlation of the samples is unknown.
 
     Raises
     ------
     BenchFault
-        What should be numbers is none, or what should be a standard deviation; or no file takes
-        the time.
+        A value is not numeric, a standard deviation is negative, or the time is not valid.
 
     Examples
     --------
@@ -119,21 +117,21 @@ class Reading:
                 if wrong.size:
                     raise BenchFault(
                         f"the {name} of a reading is {wrong[0]:.4g}",
-                        remedy="give standard deviations, NaN where they are unknown",
+                        remedy="give standard deviations, NaN if they are unknown",
                     )
             object.__setattr__(self, name, values)
 
 
 @dataclass(frozen=True)
 class Status:
-    """How the bench is.
+    """The state of a bench.
 
     Attributes
     ----------
     ready
         Whether it takes commands.
     message
-        What it says of itself, one line; a fault where it is not ready.
+        Its state in one line; a fault if it is not ready.
     counter
         As in `Reading`.
 
@@ -151,37 +149,29 @@ class Status:
 def error_of_mean(batch_means: Array) -> Array:
     """Return the (n,) standard deviation of the mean of a record from its batch means.
 
-    Samples that follow each other closely depend on each other: in a closed loop the error of
-    their mean may be a tenth of scatter / root(samples), or many times that. Means of batches that
-    are long beside the memory of the loop do not (method of batch means; Law and Kelton,
-    Simulation Modeling and Analysis, section 9.5). Few batches are long ones; so one value has few
-    degrees of freedom, BATCHES - 1, and is meant for RMS over actuators and rows.
+    Samples of a closed loop are correlated, so that the error of their mean may be a tenth of
+    scatter / root(samples), or many times that. The means of batches that are much longer than the
+    memory of the loop are not (method of batch means; Law and Kelton, Simulation Modeling and
+    Analysis, section 9.5). One value has BATCHES - 1 degrees of freedom: use the RMS over many.
 
     Parameters
     ----------
     batch_means
-        (batches, n) means of so many equal parts of a record, in the order of time [N].
+        (batches, n) means of equal parts of a record, in the order of time [N].
     """
     return np.asarray(batch_means.std(axis=0, ddof=1) / np.sqrt(len(batch_means)))
 
 
 def check_samples(samples: int) -> None:
-    """Refuse a number of samples of which there is no mean.
-
-    Raises
-    ------
-    BenchFault
-    """
+    """Raise BenchFault if there is no mean of so many samples."""
     if not 1 <= samples <= MAX_SAMPLES:
-        raise BenchFault(
-            f"a reading of {samples} samples", remedy=f"ask for 1 to {MAX_SAMPLES}", got=samples
-        )
+        raise BenchFault(f"a reading of {samples} samples", remedy=f"ask for 1 to {MAX_SAMPLES}")
 
 
 class Bench(Protocol):
     """A mirror that can be set to shapes and read.
 
-    Every method may raise `BenchFault`; after one the bench is at rest or says what it knows.
+    Every method may raise `BenchFault`.
     """
 
     @property
@@ -203,59 +193,44 @@ class Bench(Protocol):
         """Wait until the mirror has settled, and return the mean of so many samples."""
 
     def status(self) -> Status:
-        """Return how the bench is; never changes anything."""
+        """Return the state of the bench, without changing it."""
 
     def rest(self) -> None:
-        """Bring the mirror to rest, whatever happened: the shape without displacement."""
+        """Bring the mirror to rest, whatever happened: no displacement."""
 
 
 @runtime_checkable
 class Operator(Protocol):
-    """Who lifts the glass and puts the weight on."""
+    """A person or machine that puts the loads on."""
 
     def put_on(self, load: Load) -> None:
         """Return when this load is on the mirror."""
 
 
-@runtime_checkable
-class Graded(Protocol):
-    """A bench that knows how its forces change with the gap."""
-
-    @property
-    def gradients(self) -> tuple[float | None, float | None]:
-        """COILGRAD [1/m] and BIASGRAD [N/m]; None if unknown."""
-
-
 def gradients_of(bench: Bench) -> tuple[float | None, float | None]:
-    """Return COILGRAD [1/m] and BIASGRAD [N/m] as far as a bench knows them.
+    """Return COILGRAD [1/m] and BIASGRAD [N/m] of a bench, its attribute ``gradients``.
 
-    Raises
-    ------
-    BenchFault
-        They are no two numbers, or of another unit.
+    None if a bench does not know them. BenchFault if they are not two plausible numbers.
     """
-    if not isinstance(bench, Graded):
-        return None, None
-    given = bench.gradients
+    given = getattr(bench, "gradients", (None, None))
     try:
         coil, bias = (None if each is None else float(each) for each in given)
-    except (TypeError, ValueError) as error:
+        plausible = all(abs(each or 0.0) <= LARGEST_FORCE for each in (coil, bias))
+    except (TypeError, ValueError):
+        plausible = False
+    if not plausible:
         raise BenchFault(
-            f"the bench gives gradients {given!r}", remedy="give two, None where it knows none"
-        ) from error
-    if any(each is not None and not abs(each) <= LARGEST_FORCE for each in (coil, bias)):
-        raise BenchFault(
-            f"the bench gives gradients {given!r}", remedy="give 1/m and N/m, None where unknown"
+            f"the bench gives gradients {given!r}", remedy="give 1/m and N/m, None if unknown"
         )
     return coil, bias
 
 
 @runtime_checkable
 class OwnTime(Protocol):
-    """A bench with a time of its own: acquisition does not sleep for it."""
+    """A bench with simulated time: acquisition does not sleep for it."""
 
     def wait(self, seconds: float) -> None:
-        """Let so much of its time pass."""
+        """Let simulated time pass."""
 
 
 @dataclass(frozen=True)
@@ -271,7 +246,7 @@ class BenchChoice:
     seed, force_noise, fidelity
         Of the simulated bench.
     user, password_file, certificate, private_key, server_certificate
-        With which to log on to an OPC UA server.
+        Of an OPC UA server.
     """
 
     QUANTITIES: ClassVar = {
@@ -295,7 +270,7 @@ class BenchChoice:
 
 
 def foreign_keys(choice: BenchChoice) -> list[str]:
-    """Return what a choice says beyond the defaults that its kind of bench does not use."""
+    """Return the settings of a choice that its kind of bench does not use."""
     own = ("kind", *BENCH_KINDS[choice.kind])
     given = [each.name for each in fields(choice) if getattr(choice, each.name) != each.default]
     return [name for name in given if name not in own]

@@ -38,7 +38,9 @@ from truenewton.records.result import verdict_of
 from truenewton.rounding import percent, significant, with_error
 from truenewton.statics.arms import effective_weight
 
-REGARDLESS = "to use it regardless, for a diagnosis only: --anyway (in Python: force=True)"
+REGARDLESS = (
+    "to use it regardless, for a diagnosis only: --anyway (in Python: accept_rejected=True)"
+)
 
 
 @verdict_of.register(Calibration)
@@ -89,10 +91,12 @@ def refusal_of(level: Level, fault: str, remedy: str, path: object = None) -> No
     return NotToBeUsed(f"{level}: {fault}", remedy=remedy, path=path)
 
 
-def refuse_unusable(calibration: AnyCalibration, *, force: bool, path: object = None) -> None:
+def refuse_unusable(
+    calibration: AnyCalibration, *, accept_rejected: bool, path: object = None
+) -> None:
     """Raise `NotToBeUsed` if a calibration is rejected, unless forced."""
     verdict = calibration.verdict
-    if verdict.level <= Level.REJECTED and not force:
+    if verdict.level <= Level.REJECTED and not accept_rejected:
         first = verdict.faults[0]
         raise refusal_of(verdict.level, first.fault, first.remedy, path)
 
@@ -109,16 +113,18 @@ def without_unusable(c: Parts[Calibration]) -> Parts[Calibration]:
     return replace(c, found=kept, failed=failed) if kept else c
 
 
-def usable(calibration: AnyCalibration, *, force: bool, path: object = None) -> AnyCalibration:
+def usable(
+    calibration: AnyCalibration, *, accept_rejected: bool, path: object = None
+) -> AnyCalibration:
     """Return a calibration; of several segments those whose verdict is not 'rejected'.
 
     Raises NotToBeUsed if all of it is rejected, unless forced. The ``path`` of its file is named as
     the reason why a segment has no alpha.
     """
-    refuse_unusable(calibration, force=force, path=path)
+    refuse_unusable(calibration, accept_rejected=accept_rejected, path=path)
     if not isinstance(calibration, Parts):
         return calibration
-    kept = calibration if force else without_unusable(calibration)
+    kept = calibration if accept_rejected else without_unusable(calibration)
     if path is not None:
         lacking = {}
         for number, ((fault, remedy), *_) in kept.failed.items():

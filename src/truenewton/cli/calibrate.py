@@ -1,39 +1,58 @@
-"""`truenewton calibrate`: from cycle files or a stiffness file to alpha."""
+"""Calibrate: `info`, `calibrate`, `recalibrate` and `track`."""
 
 from __future__ import annotations
 
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
+from truenewton.cli.terminal import about, busy, print_result, schema_of
+from truenewton.errors import FormatError
+from truenewton.files.outputs import atomic_outputs, refuse_existing
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import AnyCalibration
 
 
-def run(
-    paths: list[Path] = typer.Argument(
-        ..., metavar="PATH...", help="Cycle files or their folder, or a stiffness file."
-    ),
-    output: Path | None = typer.Option(
-        None,
-        "-o",
-        "--output",
-        help="File to write: .fits, the calibration; .ecsv or .csv, its table; .npy, alpha.",
+def run_info(
+    paths: list[Path] = options.PATHS,
+    method: str | None = options.METHOD,
+    population: bool = options.POPULATION,
+    mirror: str | None = options.MIRROR_MODEL,
+    segment: int | None = options.SEGMENT,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Print what files contain, and whether alpha can be calibrated from them."""
+    from truenewton.calibration.survey import survey
+    from truenewton.reading import read_chosen
+
+    with busy("reading and trying to calibrate"):
+        data = read_chosen(*paths, segment=segment)
+        motion = options.motion_of(mirror, data)
+        values, lines = survey(data, method, population=population, motion=motion)
+    print_result(lines, values=values if json else None, schema="info", quiet=quiet)
+
+
+def run_calibrate(
+    paths: list[Path] = options.paths("Cycle files or their folder, or a stiffness file."),
+    output: Path | None = options.output(
+        "File to write: .fits, the calibration; .ecsv or .csv, its table; .npy, alpha."
     ),
     method: str | None = options.METHOD,
     population: bool = options.POPULATION,
-    mirror: str | None = options.GLASS,
+    mirror: str | None = options.MIRROR_MODEL,
     exclude: str | None = options.EXCLUDE,
     cluster: str | None = options.CLUSTER,
     segment: int | None = options.SEGMENT,
     processes: int | None = typer.Option(
-        None, min=1, help="Segments calibrated at once; as many as processors unless given."
+        None, min=1, help="Segments calibrated at once; by default as many as processors."
     ),
-    force: bool = options.FORCE,
+    anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
@@ -43,20 +62,19 @@ def run(
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.summary import all_lines, summary_values
     from truenewton.calibration.verdict import usable
-    from truenewton.cli.terminal import about, busy, print_result, schema_of
     from truenewton.cluster import connected
-    from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
 
     if output is not None:
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
-    out = options.ids(exclude, "--exclude") if exclude else ()
+    out = options.ids(exclude, "--exclude")
     with connected(cluster) as client:
-        data = read_data(*paths, segment=segment, client=client)
+        with busy("reading"):
+            data = read_data(*paths, segment=segment, client=client)
         with about(paths):
-            motion = options.motion_of(mirror, data)
             with busy("calibrating", keeping=True) as waiting:
+                motion = options.motion_of(mirror, data)
                 work = partial(
                     calibrate,
                     data,
@@ -68,10 +86,84 @@ def run(
                     processes=processes,
                 )
                 found: AnyCalibration = waiting.end_of(work)
-            found = usable(found, force=force)
+            found = usable(found, accept_rejected=anyway)
     lines, values = [*all_lines(found, data)], summary_values(found) if json else None
     if output is not None:
         found.write(output, overwrite=overwrite)
         lines += filter(None, [lacking(found, output)])
     schema = schema_of("calibrate", found)
     print_result(lines, output, values=values, schema=schema, quiet=quiet)
+
+
+def run_recalibrate(
+    paths: list[Path] = options.paths("Cycle files of the run after the change, or their folder."),
+    known: Path = typer.Option(..., "--known", help="Calibration from before, or a tracking file."),
+    actuators: str = typer.Option(
+        ..., "--actuators", help="IDs that were replaced, as 17,18; or auto: find what changed."
+    ),
+    output: Path | None = options.output("Calibration file to write."),
+    segment: int | None = options.SEGMENT,
+    anyway: bool = options.ANYWAY,
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Calibrate replaced actuators by a short run; all others keep their calibration."""
+    from truenewton.calibration.export import suffix_of
+    from truenewton.calibration.verdict import usable
+    from truenewton.reading import read_chosen
+    from truenewton.recalibration.fit import recalibrate
+    from truenewton.recalibration.summary import lines, values
+    from truenewton.records.parts import apply
+
+    auto = actuators.strip().casefold() == "auto"
+    ids = [] if auto else options.ids(actuators, "--actuators")
+    if output is not None:
+        suffix_of(output)
+    refuse_existing(output, overwrite=overwrite)
+    with busy("recalibrating"), about(paths):
+        data = read_chosen(*paths, segment=segment)
+        made = recalibrate(data, known, ids, accept_rejected=anyway)
+        calibration = usable(apply(attrgetter("calibration"), made), accept_rejected=anyway)
+    shown, as_values = lines(made, calibration), values(made, calibration) if json else None
+    if output is not None:
+        calibration.write(output, overwrite=overwrite)
+    schema = schema_of("recalibrate", made)
+    print_result(shown, output, values=as_values, schema=schema, quiet=quiet)
+
+
+def run_track(
+    paths: list[Path] = options.paths(
+        "Calibration files, or folders of campaigns.", "CALIBRATION..."
+    ),
+    output: Path | None = options.output("Tracking file to write."),
+    figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
+    accuracy: float | None = typer.Option(
+        None, help="Wanted relative error of alpha (0.005): when to calibrate again."
+    ),
+    segment: int | None = options.SEGMENT,
+    anyway: bool = options.ANYWAY,
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Find how alpha varies with temperature and time, from calibrations of different days."""
+    from truenewton.figures.writing import write_drawn
+    from truenewton.tracking.figures import tracking_figures
+    from truenewton.tracking.fit import track
+    from truenewton.tracking.summary import lines, values
+
+    if accuracy is not None and not 1e-9 <= accuracy <= 1:
+        raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
+    refuse_existing(output, figures, overwrite=overwrite)
+    with busy("tracking"):
+        law = track(*paths, accept_rejected=anyway, segment=segment)
+        shown, as_values = lines(law, accuracy), values(law, accuracy) if json else None
+    drawn: list[Path] = []
+    with atomic_outputs():
+        if output is not None:
+            law.write(output, overwrite=overwrite)
+        if figures is not None:
+            drawn = write_drawn(tracking_figures(law), figures, overwrite=overwrite)
+    schema = schema_of("track", law)
+    print_result(shown, output, *drawn, values=as_values, schema=schema, quiet=quiet)

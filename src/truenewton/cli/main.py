@@ -1,9 +1,8 @@
-"""The door: gathers the commands, and turns errors into one line and an exit code."""
+"""Collects the commands, and turns errors into one line and an exit code."""
 
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import os
 import signal
@@ -16,16 +15,16 @@ import typer
 from typer.core import TyperGroup
 
 from truenewton import __version__
+from truenewton.cli import calibrate, simulate, take, use
 from truenewton.errors import Interrupted, TrueNewtonError, printable
 
 # The base of what typer raises for a wrong command line, which typer itself does not export:
 # ClickException of its own copy of click.
 CommandLineError: Any = typer.BadParameter.__mro__[2]
 STOPPED = 130  # as a shell says of a command that Ctrl-C ended
-# Of numbers that each are sound, and together are not: what is absurd by itself is refused as it is
-# read, by name.
+# Each number was checked when it was read; only together are they absurd.
 BROKEN = "the calculation broke down"
-WHAT_TO_DO = "numbers are too large, too small or too much alike; look at each file with `info`"
+WHAT_TO_DO = "numbers are too large, too small or too similar; check each file with `info`"
 GROUPS = {  # of --help, each with its commands and an example of each
     "To begin": {"demo": "truenewton demo -o demo/"},
     "Take data": {
@@ -55,14 +54,14 @@ GROUPS = {  # of --help, each with its commands and an example of each
     },
 }
 EXAMPLES = {name: example for group in GROUPS.values() for name, example in group.items()}
-MODULES = {"import": "import_"}  # where a command has the name of a keyword of Python
+FUNCTIONS = vars(take) | vars(calibrate) | vars(use) | vars(simulate)
 
 
 class Grouped(TyperGroup):
     """Commands in groups, each with a whole sentence."""
 
     def format_commands(self, _: Any, formatter: Any) -> None:
-        """Write a section a group."""
+        """Write a section for each group."""
         for title, names in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(n, self.commands[n].get_short_help_str(200)) for n in names])
@@ -76,8 +75,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for name, example in EXAMPLES.items():
-    run = importlib.import_module(f"truenewton.cli.{MODULES.get(name, name)}").run
-    app.command(name=name, epilog=f"\b\nFor example:\n  {example}")(run)
+    app.command(name=name, epilog=f"\b\nFor example:\n  {example}")(FUNCTIONS[f"run_{name}"])
 
 
 def _version(asked: bool) -> None:
@@ -98,11 +96,11 @@ def _options(
 def main() -> None:
     """Run the command line.
 
-    Exit code 0; 1 where a check that was asked for fails; 2 with one line on standard error where
-    the input or the output is at fault; 130 with one line where it was interrupted.
+    Exit code 0; 1 if a requested check fails; 2 with one line on standard error if the input or the
+    output is at fault; 130 with one line if it was interrupted.
     """
     for stream in (sys.stdout, sys.stderr):
-        # A terminal that lacks a character, or a file name that is no text, shall not stop us.
+        # A terminal may lack a character, and a file name may be no text.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
@@ -115,14 +113,17 @@ def main() -> None:
 def _run() -> Any:
     """Run the command line and return its exit code."""
     try:
-        with _told_to_end(), warnings.catch_warnings():  # the commands themselves show each verdict
+        with (
+            _sigterm_as_interrupt(),
+            warnings.catch_warnings(),
+        ):  # the commands themselves show each verdict
             warnings.simplefilter("ignore")
-            # What overflows or has no value in an array is no result: it ends as an error does.
+            # An overflow or an undefined value in an array ends the command as an error does.
             warnings.filterwarnings("error", "(?!coroutine)", RuntimeWarning)
             code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False)
-        if code == STOPPED:  # what the command line's library makes of Ctrl-C
+        if code == STOPPED:  # typer returns it after Ctrl-C
             raise KeyboardInterrupt
-        if sys.stdout is not None:  # as where a shell closed it
+        if sys.stdout is not None:  # a shell may have closed it
             sys.stdout.flush()
         return code or 0
     except Interrupted as stopped:
@@ -136,12 +137,11 @@ def _run() -> Any:
         return _refuse(f"{fault}{see} '{command} --help'")
     except (typer.Abort, KeyboardInterrupt):
         return _refuse("interrupted; nothing was left half-written", STOPPED)
-    except BrokenPipeError:  # nobody reads our output any more, as in `| head`
+    except BrokenPipeError:  # the reader of our output went away, as in `| head`
         return 0
     except SystemExit as left:
-        # The command line's library leaves by itself where the reader of our output went away.
-        gone = isinstance(left.__context__, BrokenPipeError)
-        return 0 if gone else left.code
+        # typer exits by itself if the reader of our output went away.
+        return 0 if isinstance(left.__context__, BrokenPipeError) else left.code
     except (ArithmeticError, RuntimeWarning, ValueError) as error:
         if isinstance(error, ValueError) and type(error).__name__ != "LinAlgError":
             raise
@@ -154,8 +154,8 @@ def _run() -> Any:
 
 
 @contextlib.contextmanager
-def _told_to_end() -> Iterator[None]:
-    """Let SIGTERM end a command as Ctrl-C does: what it was about to write goes with it."""
+def _sigterm_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM end a command as Ctrl-C does, so that no half-written output stays."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -164,7 +164,7 @@ def _told_to_end() -> Iterator[None]:
 
 
 def _discard_unwritten() -> None:
-    """Write what the standard streams still hold, or discard what cannot be written.
+    """Write what the standard streams still contain, or discard what cannot be written.
 
     A write that failed leaves its text in the buffer. Python writes it again when it ends, and if
     that fails too, its exit code is 120 instead of ours (signal module, Note on SIGPIPE).
@@ -179,6 +179,6 @@ def _discard_unwritten() -> None:
 
 
 def _refuse(line: str, code: int = 2) -> int:
-    with contextlib.suppress(OSError):  # as where standard error is read by `head`, or a full file
+    with contextlib.suppress(OSError):  # standard error may be closed or full
         print(f"truenewton: {printable(' '.join(line.split()))}", file=sys.stderr)
     return code

@@ -1,11 +1,14 @@
-"""Options and arguments that several commands share."""
+"""Options that several commands share, and what they mean."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from truenewton.errors import FormatError, OutputFailed
 
 if TYPE_CHECKING:
     from truenewton.arrays import Array
@@ -17,50 +20,74 @@ METHOD = typer.Option(
     None,
     metavar="[ml|svd|reciprocity|auto]",
     autocompletion=lambda: ["ml", "svd", "reciprocity", "auto"],
-    help="ml, maximum likelihood; svd, the paper's; reciprocity; auto, reciprocity where it holds,"
-    " else ml. Unless given, auto of a matrix and with --mirror, else ml.",
+    help="ml: maximum likelihood. svd: the paper's. reciprocity. auto: reciprocity if it is valid,"
+    " else ml. By default auto for a matrix or with --mirror, else ml.",
 )
 POPULATION = typer.Option(
-    False, "--population", help="Take alpha for samples of one normal population (ml)."
+    False, "--population", help="Assume that all alpha are drawn from one normal population (ml)."
 )
-GLASS = typer.Option(
-    None, "--mirror", help="Its glass, known or a TOML file: what its sensors see."
+MIRROR_MODEL = typer.Option(
+    None, "--mirror", help="Mirror model (name or TOML file): what the sensors measure."
 )
-ANYWAY = typer.Option(False, "--anyway", help="Go on although the verdict on alpha is 'rejected'.")
-FORCE = typer.Option(  # which is a number to `modes`
-    False, "--force", "--anyway", help="Go on although the verdict on alpha is 'rejected'."
+ANYWAY = typer.Option(
+    False, "--anyway", help="Continue even if the verdict on alpha is 'rejected'."
 )
 EXCLUDE = typer.Option(
-    None, "--exclude", metavar="ID,...", help="Actuators whose alpha is not wanted, as 17,18."
+    None, "--exclude", metavar="ID,...", help="Actuators to leave out of the calibration: 17,18."
 )
 SEGMENT = typer.Option(
-    None, "--segment", help="Number of one segment, which is taken alone (mirrors in segments)."
+    None, "--segment", help="Take one segment of a segmented mirror only, by its number."
 )
-JSON = typer.Option(False, "--json", help="Print figures as JSON, for scripts.")
-QUIET = typer.Option(False, "-q", "--quiet", help="Print only what was written and what is wrong.")
+JSON = typer.Option(False, "--json", help="Print numbers as JSON, for scripts.")
+QUIET = typer.Option(False, "-q", "--quiet", help="Print only the files written and errors.")
 FIDELITY = typer.Option(
     "static",
     metavar="[static|loop]",
     autocompletion=lambda: ["static", "loop"],
-    help="static: shapes are held exactly; loop: in closed loop, sample by sample.",
+    help="static: shapes are held exactly. loop: closed loop, sample by sample.",
+)
+SEED = typer.Option(1, min=0, help="Seed of all random numbers.")
+NOISE = typer.Option(
+    1e-4, min=0.0, max=1.0, help="Standard deviation of one force reading [N] (static)."
 )
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")
 CLUSTER = typer.Option(
-    None, "--cluster", metavar="ADDRESS", help="Let the workers of a dask scheduler read the files."
+    None, "--cluster", metavar="ADDRESS", help="Dask scheduler whose workers read the files."
 )
-PATHS = typer.Argument(
-    ..., metavar="PATH...", help="Cycle files or their folder, a stiffness file, or a calibration."
-)
+
+
+def output(text: str, default: Any = None) -> Any:
+    """Return the option of an output file or folder."""
+    return typer.Option(default, "-o", "--output", help=text)
+
+
+def paths(text: str, metavar: str = "PATH...") -> Any:
+    """Return the argument of one or more paths."""
+    return typer.Argument(..., metavar=metavar, help=text)
+
+
+PATHS = paths("Cycle files or their folder, a stiffness file, or a calibration.")
+
+
+def ids(text: str | None, option: str) -> list[int]:
+    """Return the IDs of a list with commas; none if the option was not given."""
+    try:
+        return [int(word) for word in text.split(",")] if text else []
+    except ValueError:
+        raise FormatError(f"{option} is '{text}'", remedy="give IDs, as 17,18") from None
+
+
+def require_suffix(output: Path | None, suffixes: tuple[str, ...], what: str) -> None:
+    """Refuse the name of an output that has none of the suffixes."""
+    if output is not None and not output.name.lower().endswith(suffixes):
+        remedy = f"let -o end in {suffixes[0]}"
+        raise OutputFailed(f"is no name for a {what}", remedy=remedy, path=output)
 
 
 def motion_of(mirror: str | None, data: Read) -> Seen | None:
-    """Return (6, n, n) what sensors see of the glass of data, None without --mirror.
+    """Return (6, n, n) what the sensors measure of the mirror model, or that of each segment.
 
-    Of several segments that of each by its number; None of a calibration, which is ready.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError, CampaignMismatch
+    None without --mirror, or for a calibration, which needs none.
     """
     if mirror is None:
         return None
@@ -78,30 +105,10 @@ def motion_of(mirror: str | None, data: Read) -> Seen | None:
 
 
 def edges_of(mirror: str | None, layout: Layout) -> Sequence[Array]:
-    """Return the edges of the glass behind actuators, (vertices, 2) each [m]; of --mirror alone.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError, CampaignMismatch
-    """
+    """Return the edges of the glass, (vertices, 2) each [m]; none without --mirror."""
     if mirror is None:
         return ()
     from truenewton.mirrors.file import whole_mirror_from
     from truenewton.mirrors.sensor_model import edges_for
 
     return edges_for(whole_mirror_from(mirror), layout)
-
-
-def ids(text: str, option: str) -> list[int]:
-    """Return the IDs of a list with commas.
-
-    Raises
-    ------
-    FormatError
-    """
-    from truenewton.errors import FormatError
-
-    try:
-        return [int(word) for word in text.split(",")]
-    except ValueError:
-        raise FormatError(f"{option} is '{text}'", remedy="give IDs, as 17,18", got=text) from None

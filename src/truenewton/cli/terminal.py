@@ -1,4 +1,4 @@
-"""How results look in a terminal: plain tables, JSON, that something takes its time."""
+"""What a person or a script sees in a terminal: results, JSON, progress."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO, TypeVar
+from typing import Any, TextIO
 
 from truenewton.errors import (
+    FormatError,
     NotConverged,
     NotToBeUsed,
     RankDeficient,
     TooManyOutliers,
-    TrueNewtonError,
     located,
     printable,
 )
 
-Item = TypeVar("Item")
-REFUSALS = RankDeficient, TooManyOutliers, NotConverged, NotToBeUsed  # of data
+ERRORS_OF_DATA = FormatError, RankDeficient, TooManyOutliers, NotConverged, NotToBeUsed
 
 
 def say(*lines: object, stream: TextIO | None = None, end: str = "\n") -> None:
-    """Print lines, whatever the names in them hold; the only place that prints to people.
+    """Print lines to people, their control characters escaped.
 
-    A reader of standard error that goes away ends no command: results are elsewhere.
+    If the reader of standard error goes away, the command continues: results are elsewhere.
     """
     for line in lines:
         try:
@@ -38,13 +37,11 @@ def say(*lines: object, stream: TextIO | None = None, end: str = "\n") -> None:
 
 
 @contextlib.contextmanager
-def about(
-    paths: Sequence[Path], kinds: tuple[type[TrueNewtonError], ...] = REFUSALS
-) -> Iterator[None]:
-    """Let a refusal of data name the path that was given, if there is but one and it names none."""
+def about(paths: Sequence[Path]) -> Iterator[None]:
+    """Add the path to an error of the data that names no file, if there is only one path."""
     try:
         yield
-    except kinds as error:
+    except ERRORS_OF_DATA as error:
         raise located(error, paths[0]) if len(paths) == 1 else error from None
 
 
@@ -55,15 +52,13 @@ def print_result(
     schema: str = "",
     quiet: bool = False,
 ) -> None:
-    """Print lines and the files written, None for one that was not; or values as JSON instead.
+    """Print lines and the files written (None: not written), or values as JSON instead.
 
-    Quietly the files alone. Before the values stands the name of their schema, with its version:
-    keys may be added to it, and another number stands there where one changed or went.
-
-    Of the values what is not finite becomes null, which JSON can hold.
+    With ``quiet``, print the files only. The JSON begins with the name of its schema and the
+    version, which changes if a key changes or is removed. Numbers that are not finite become null.
     """
     if values is not None:
-        from truenewton.arrays import jsonable  # NumPy, which --help does not need
+        from truenewton.arrays import jsonable  # imports NumPy, which --help does not need
 
         print(json.dumps(jsonable({"schema": f"truenewton.{schema}/2", **values}), indent=2))
         return
@@ -73,14 +68,14 @@ def print_result(
 
 
 def schema_of(name: str, result: object) -> str:
-    """Return the schema of a result of one body, or that of a result of several segments."""
+    """Return the name of the JSON schema of a result, which differs for segmented mirrors."""
     from truenewton.records.parts import has_parts
 
     return f"{name}-segments" if has_parts(result) else name
 
 
 def table_lines(title: str, *table: Sequence[str]) -> Iterator[str]:
-    """Yield a title and the rows of a table; its first column is text, the others stand right."""
+    """Yield a title and the rows of a table: its first column left-aligned, the others right."""
     yield title
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     for first, *others in table:
@@ -88,31 +83,60 @@ def table_lines(title: str, *table: Sequence[str]) -> Iterator[str]:
         yield "  " + "  ".join([first.ljust(widths[0]), *cells]).rstrip()
 
 
-def track(items: Sequence[Item], what: str) -> Iterator[Item]:
-    """Yield items behind a progress bar on standard error, where a person looks at it."""
-    if len(items) < 2 or not sys.stderr.isatty():
-        yield from items
-        return
-    from rich.console import Console
-    from rich.progress import track as rich_track
+class Bar:
+    """A line on standard error with what happens, how far it is, and the time left.
 
-    yield from rich_track(items, description=what, console=Console(stderr=True), transient=True)
+    It is drawn only if standard error is a terminal.
+    """
+
+    def __init__(self) -> None:
+        self._drawn: Any = None
+
+    def show(self, text: str, done: float = 0.0) -> None:
+        """Draw the line; ``done`` is a share of the work, 0 if it is unknown."""
+        if not sys.stderr.isatty():
+            return
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            SpinnerColumn,
+            TextColumn,
+            TimeRemainingColumn,
+        )
+
+        if self._drawn is None:
+            columns = SpinnerColumn(), TextColumn("{task.description}", markup=False)
+            self._drawn = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._drawn.add_task(printable(text), total=None)
+            self._drawn.start()
+        if done and len(self._drawn.columns) == 2:
+            self._drawn.columns += BarColumn(bar_width=20), TimeRemainingColumn()
+        known = {"completed": done, "total": 1.0} if done else {}
+        self._drawn.update(0, description=printable(text), **known)
+
+    def say(self, line: str, stream: TextIO | None = None) -> None:
+        """Print a line above the bar, or to a stream if no bar is drawn."""
+        if self._drawn is None:
+            say(line, stream=stream)
+        else:
+            self._drawn.console.print(printable(line), markup=False, highlight=False)
+
+    def stop(self) -> None:
+        """Remove the line; the next `show` draws it again."""
+        if self._drawn is not None:
+            self._drawn.stop()
+            self._drawn = None
 
 
 @dataclass
 class Waiting:
-    """What someone at the terminal waits for.
-
-    Attributes
-    ----------
-    keep
-        Makes a complete result of what has been found so far; None before anything has.
-    """
+    """Contains how to make a result of what has been found so far; None before there is any."""
 
     keep: Callable[[], Any] | None = None
 
     def end_of(self, work: Callable[[], Any]) -> Any:
-        """Return the result of some work; what there is, if it is interrupted and something is."""
+        """Return the result of some work, or what was found so far if Ctrl-C interrupts it."""
         try:
             return work()
         except KeyboardInterrupt:
@@ -123,43 +147,22 @@ class Waiting:
 
 @contextlib.contextmanager
 def busy(what: str, *, keeping: bool = False) -> Iterator[Waiting]:
-    """Show on standard error what goes on and how far it is, where a person looks.
-
-    If ``keeping``, also what was found: it can be kept by whoever interrupts the rest.
-    """
+    """Show a bar while the block runs; with ``keeping``, also which result Ctrl-C would keep."""
     from truenewton.progress import progress_to
 
-    waiting = Waiting()
-    with contextlib.ExitStack() as stack:
-        shown: Progress | None = None
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import (
-                BarColumn,
-                Progress,
-                SpinnerColumn,
-                TextColumn,
-                TimeRemainingColumn,
-            )
+    waiting, bar = Waiting(), Bar()
 
-            columns = SpinnerColumn(), TextColumn("{task.description}", markup=False)
-            shown = Progress(*columns, console=Console(stderr=True), transient=True)
-            stack.enter_context(shown)
-            task = shown.add_task(what, total=None)
+    def told(now: str, done: float, keep: Callable[[], Any] | None) -> None:
+        if keep is None:
+            bar.show(f"{what}: {now}", done)
+        elif keeping:
+            waiting.keep = keep
+            if sys.stderr.isatty():
+                bar.say(f"{now}; Ctrl+C keeps this", sys.stderr)
 
-        def told(now: str, done: float, keep: Callable[[], Any] | None) -> None:
-            if keep is not None:
-                if keeping:
-                    waiting.keep = keep
-                    if shown is not None:
-                        shown.console.print(f"{now}; Ctrl+C keeps this", highlight=False)
-                return
-            if shown is None:
-                return
-            if done:
-                shown.columns = (*columns, BarColumn(bar_width=20), TimeRemainingColumn())
-                shown.update(task, completed=done, total=1.0)
-            shown.update(task, description=f"{what}: {now}")
-
-        stack.enter_context(progress_to(told))
-        yield waiting
+    bar.show(what)
+    try:
+        with progress_to(told):
+            yield waiting
+    finally:
+        bar.stop()

@@ -1,11 +1,11 @@
 """FITS, HDF5 and TOML on disk, whatever they mean; outputs that are complete or not there.
 
-format       what a file of some kind holds, declared once for writing and reading
-fits         FITS in and out, safely: the only importer of astropy.io.fits
-hdf5         HDF5 in and out, under the names of the FITS contract
-content      what a FITS file held, asked for by what a format declares
-opening      files that are opened for reading: plain ones, their sizes and checksums verified
+format       file formats, each declared once for writing and reading
+fits         reading and writing FITS: the only importer of astropy.io.fits
+hdf5         reading and writing HDF5, under the names of the FITS formats
+content      what a file contains, by name, type and unit
+opening      files that are opened for reading: plain files only, texts, gzipped bytes
 stored_rows  rows of a table that stay in their file, for campaigns larger than memory
 outputs      outputs written beside their target, then renamed
-toml         TOML tables, held against the dataclass that they fill
+toml         TOML tables, checked against the dataclass that they fill
 """

@@ -1,4 +1,4 @@
-"""What a FITS file held: keywords, columns and images, asked for by name, type and unit."""
+"""The contents of a FITS or HDF5 file: keywords, columns and images by name, type and unit."""
 
 from __future__ import annotations
 
@@ -28,18 +28,10 @@ Extension = TypeVar("Extension", "Table", "Image")
 
 
 class Table(NamedTuple):
-    """A binary table as it was read.
-
-    Attributes
-    ----------
-    rows
-        Number of rows.
-    columns
-        Values in native byte order, or where they stay in the file, with their unit or ''; by
-        upper-case name.
-    """
+    """A binary table as it was read."""
 
     rows: int
+    # By upper-case name: values in native byte order, or left in the file, and their unit or ''.
     columns: Mapping[str, tuple[NDArray[Any] | StoredRows, str]]
 
 
@@ -52,37 +44,26 @@ class Image(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FitsFile:
-    """A FITS file, read and verified.
-
-    Attributes
-    ----------
-    path, sha256
-        Where, and the digest of its bytes.
-    header
-        The primary header.
-    extensions
-        Tables and images by upper-case EXTNAME, that of the primary HDU as PRIMARY; or what is
-        wrong with one, raised when it is asked for.
-    versions
-        The extensions of each EXTVER as if they were a file, with the header of the first of them.
-    """
+    """A FITS file, read and verified."""
 
     path: str
-    sha256: str
-    header: Mapping[str, Any]
+    sha256: str  # of its bytes
+    header: Mapping[str, Any]  # the primary header
+    # By upper-case EXTNAME, the image of the primary HDU as PRIMARY. An error is raised on use.
     extensions: Mapping[str, Table | Image | TrueNewtonError]
+    # The extensions of each EXTVER as a file, with the header of the first of them.
     versions: Mapping[int, FitsFile] = field(default_factory=dict)
 
     def filled(self, kind: type[Record], values: dict[str, Any]) -> Record:
-        """Return a record filled from `values`; what it refuses names the file."""
+        """Return a record filled from `values`; its errors name the file."""
         with naming(self.path):
             made: Record = _filled(kind, values)
         return made
 
     def values(self, form: FileFormat, largest: float = math.inf) -> dict[str, Any]:
-        """Return what is declared of the file by attribute: a dictionary for each record inside.
+        """Return the values of a format by attribute, with a dictionary for each record inside.
 
-        Numbers of a magnitude beyond ``largest`` are refused, so that their squares are numbers.
+        Numbers of a magnitude beyond ``largest`` are refused, so that their squares are finite.
         """
         values: dict[str, Any] = {}
 
@@ -119,7 +100,7 @@ class FitsFile:
             absurd = (sizes > largest) & (sizes < math.inf)
             if absurd.any():
                 bad = np.ravel(values)[absurd.argmax()]
-                self._refuse(f"{what} is {bad:g}", "nothing is as large: make the file again", bad)
+                self._refuse(f"{what} is {bad:g}", "nothing is as large: make the file again")
         return values
 
     def _keyword(self, keyword: Keyword) -> Any:
@@ -131,7 +112,7 @@ class FitsFile:
             return keyword.absent
         number = keyword.kind in ("float", "count")
         if type(value) not in stored.types or (number and not math.isfinite(value)):
-            self._refuse(f"{key} is {value!r}", f"store {stored.words}", got=value)
+            self._refuse(f"{key} is {value!r}", f"store {stored.words}")
         if stored.dtype is np.str_:
             return self._text(value, keyword, key)
         if keyword.kind == "count":
@@ -150,9 +131,7 @@ class FitsFile:
         values, has_unit = columns[column.name]
         what, stored = f"column {column.name} of {table}", STORED[column.kind]
         if values.dtype.kind not in stored.kinds:
-            self._refuse(
-                f"{what} holds {values.dtype}", f"store {stored.words}", got=str(values.dtype)
-            )
+            self._refuse(f"{what} holds {values.dtype}", f"store {stored.words}")
         width = self._extension(column.each, Table).rows if column.each else None
         if not isinstance(values, StoredRows):
             try:
@@ -167,8 +146,6 @@ class FitsFile:
             self._refuse(
                 f"{what} has {counted(size, 'value')} a row instead of {width or 1}",
                 "store one for each actuator" if width else "store one",
-                got=values.shape,
-                want=want,
             )
         if stored.dtype is np.str_:
             return tuple(
@@ -183,7 +160,7 @@ class FitsFile:
         return in_unit(values)
 
     def _text(self, value: str, declared: Keyword | Column, what: str) -> Any:
-        """Return a text, or the date in it; what is blank counts as absent."""
+        """Return a text, or the date in it; blank text counts as absent."""
         text = str(value).strip()
         if declared.kind == "str":
             return text if text or declared.absent is REQUIRED else declared.absent
@@ -211,12 +188,7 @@ class FitsFile:
         for name in names:
             shape = self.pixels(name).shape
             if shape != (side, side):
-                self._refuse(
-                    f"{name} has the shape {shape}",
-                    f"it is square, of {side}: {meaning}",
-                    got=shape,
-                    want=(side, side),
-                )
+                self._refuse(f"{name} has the shape {shape}", f"it is square, of {side}: {meaning}")
 
     def enabled(self, alpha: NDArray[Any], remedy: str) -> NDArray[np.bool_]:
         """Return which actuators take part: those with an (n,) alpha."""
@@ -245,18 +217,18 @@ class FitsFile:
             self._refuse(f"there is no {kind.__name__.lower()} {name}", _add_it(self.extensions))
         return extension
 
-    def _refuse(self, fault: str, remedy: str, got: Any = None, want: Any = None) -> NoReturn:
-        raise FormatError(fault, remedy=remedy, path=self.path, got=got, want=want) from None
+    def _refuse(self, fault: str, remedy: str) -> NoReturn:
+        raise FormatError(fault, remedy=remedy, path=self.path) from None
 
 
 def _add_it(others: Collection[str]) -> str:
-    """Return the remedy for what is missing among others, by their names."""
+    """Return the remedy for a missing name; ``others`` are those that exist."""
     named = f", or name it so: there is {', '.join(others)}" if others else ""
     return f"add it{named} (docs/files.md)"
 
 
 def _filled(kind: Any, value: Any) -> Any:
-    """Fill a record, a tuple of records or a plain tuple: the types of its fields tell which."""
+    """Fill a record, a tuple of records or a plain tuple, as the types of the fields declare."""
     if not isinstance(value, dict):
         return value
     if get_origin(kind) is not tuple:
@@ -282,7 +254,7 @@ def _rows(columns: dict[str, Any]) -> list[dict[str, Any]]:
 def _convert(
     values: NDArray[Any], has: str, want: str, what: str, path: str
 ) -> NDArray[np.float64]:
-    """Convert values from the unit they declare to the one wanted; refuse what cannot be."""
+    """Convert values from their declared unit to the one wanted."""
     if not has.strip():
         raise FormatError(f"{what} declares no unit", remedy=f"declare {want}", path=path)
     try:
@@ -294,7 +266,7 @@ def _convert(
             return np.asarray(old.to(new, values, equivalencies=u.temperature()), dtype=np.float64)
     except Exception:  # the text may be anything
         raise FormatError(
-            f"{what} is in '{has}'", remedy=f"store it in {want}", path=path, got=has, want=want
+            f"{what} is in '{has}'", remedy=f"store it in {want}", path=path
         ) from None
 
 

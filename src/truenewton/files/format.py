@@ -1,8 +1,7 @@
-"""File formats: each declared once, then walked from a record to FITS and back.
+"""File formats: each is declared once, for writing a record to a file and for reading it.
 
 An attribute is a path from the record, as ``load.name`` or ``interval.0``; a tuple of records on
-the way stands for the rows of a table. Where it is a function of the record instead, what that
-returns is written, and nothing is read back.
+the path contains the rows of a table. The values of a function of the record are written only.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 Attribute = str | Callable[[Any], Any]
 Kind = Literal["float", "int", "count", "bool", "str", "date"]
-REQUIRED: Any = ...  # instead of what stands for something absent
+REQUIRED: Any = ...  # instead of a value for something absent
 
 
 class Stored(NamedTuple):
@@ -44,72 +43,37 @@ STORED: dict[Kind, Stored] = {
 
 @dataclass(frozen=True)
 class Keyword:
-    """A keyword of the primary header.
-
-    Left out where its value is None, NaN, or infinite if that is what absence says.
-
-    Attributes
-    ----------
-    name, attribute
-        What it holds.
-    comment, unit
-        Written behind it, the unit in brackets.
-    kind
-        Of its value.
-    absent
-        What stands for it where a file has none.
-    """
+    """A keyword of the primary header; not written if None, NaN, or infinite and that is absent."""
 
     name: str
     attribute: Attribute
     comment: str
-    unit: str = ""
+    unit: str = ""  # written in brackets before the comment
     kind: Kind = "float"
-    absent: Any = REQUIRED
+    absent: Any = REQUIRED  # the value if a file has no such keyword
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table; left out where its values are None.
-
-    Attributes
-    ----------
-    name, attribute
-        What it holds.
-    unit
-        As written, and to which other units are converted; None for plain numbers.
-    kind
-        Of its values.
-    absent
-        What stands for each value where a file has no such column; None for no values at all.
-    each
-        For vectors: the table for each row of which they have a value.
-    width
-        Of text; 0 for that of the longest.
-    finite
-        Whether NaN and inf are refused on reading, where the record cannot check itself.
-    """
+    """A column of a table; not written if its values are None."""
 
     name: str
     attribute: Attribute
-    unit: str | None = None
+    unit: str | None = None  # in which it is written, and to which others are converted
     kind: Kind = "float"
-    absent: Any = REQUIRED
-    each: str = ""
-    width: int = 0
-    finite: bool = False
+    absent: Any = REQUIRED  # the value if a file has no such column; None for no values at all
+    each: str = ""  # for vectors: the table for each row of which they have a value
+    width: int = 0  # of text; 0 for that of the longest
+    finite: bool = False  # refuse NaN and inf on reading
 
 
 @dataclass(frozen=True)
 class TableFormat:
-    """A binary table; the attributes of its columns are those of ``of``.
-
-    One that is ``optional`` is written where it has rows, and may be missing.
-    """
+    """A binary table; an ``optional`` one is written only if it has rows, and may be missing."""
 
     name: str
     columns: tuple[Column, ...]
-    of: str = ""
+    of: str = ""  # attribute of the record to which those of the columns belong
     optional: bool = False
 
 
@@ -124,20 +88,11 @@ class ImageFormat:
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A kind of file.
-
-    Attributes
-    ----------
-    keywords
-        Of its primary header, in order.
-    extensions
-        Its tables and images, in order.
-    matrix
-        Pixels of the primary HDU, where other programs look for a single matrix; or None.
-    """
+    """A kind of file: keywords, tables and images in order."""
 
     keywords: tuple[Keyword, ...] = ()
     extensions: tuple[TableFormat | ImageFormat, ...] = ()
+    # Pixels of the primary HDU, where other programs look for a single matrix.
     matrix: Attribute | None = None
 
 

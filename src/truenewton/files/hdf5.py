@@ -1,7 +1,7 @@
-"""HDF5 in and out: the names of the FITS contract, and what is wrong in one line, as there.
+"""Reading and writing HDF5, with the names of the FITS formats.
 
 Attributes of the root are keywords, a group is a table, its datasets are the columns, a dataset of
-the root is an image; units stand in the attribute ``unit`` of a dataset.
+the root is an image. Units are in the attribute ``unit`` of a dataset.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import importlib
 import os
 from dataclasses import dataclass
 from io import BufferedIOBase
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, UnreadableFile, naming
 from truenewton.files.content import FitsFile, Image, Table
 from truenewton.files.format import FileFormat, TableFormat, columns_of, header_of, value_of
-from truenewton.files.opening import MAX_UNPACKED_BYTES, open_plain
+from truenewton.files.opening import open_plain, refuse_too_large
 from truenewton.files.outputs import file_beside
 from truenewton.files.stored_rows import StoredRows, runs, state_of
 
@@ -33,15 +32,9 @@ UNITS = ("unit", "units", "UNIT", "UNITS")
 
 @dataclass(frozen=True, eq=False)
 class Hdf5Rows(StoredRows):
-    """Vectors of one dataset, (N, n), left in an HDF5 file, packed or not.
+    """Vectors of one dataset, (N, n), left in an HDF5 file, compressed or not."""
 
-    Attributes
-    ----------
-    dataset
-        Its name in the file.
-    """
-
-    dataset: str = ""
+    dataset: str = ""  # its name in the file
 
     def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
         """Read the `span` of some rows, (rows, span); those that follow each other together."""
@@ -118,7 +111,7 @@ def _read(path: str, *, whole: bool) -> FitsFile:
 
 
 def _refuse_links(h5py: Any, group: Any, name: str) -> None:
-    """Refuse what stands in another file: its checksum would say nothing of it."""
+    """Refuse data that are in another file, which the checksum does not cover."""
     away = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
     if not away and isinstance(group[name], h5py.Dataset):
         away = group[name].is_virtual or group[name].external is not None
@@ -130,7 +123,7 @@ def _refuse_links(h5py: Any, group: Any, name: str) -> None:
 
 
 def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: bool) -> Table:
-    """Read a group; where not all is wanted, its vectors stay in the file."""
+    """Read a group; if not ``whole``, its vectors stay in the file."""
     columns: dict[str, tuple[NDArray[Any] | StoredRows, str]] = {}
     table, rows = group.name.strip("/").upper(), None
     for name in group:
@@ -160,11 +153,7 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
 
 def _array(dataset: Any, path: str) -> NDArray[Any]:
     """Read all of a dataset, in native byte order."""
-    if dataset.nbytes > max(MAX_UNPACKED_BYTES, Path(path).stat().st_size):
-        raise UnreadableFile(
-            f"{dataset.name.strip('/')} unpacks to {dataset.nbytes / 2**30:.0f} GB",
-            remedy="fetch the file again",
-        )
+    refuse_too_large(dataset.nbytes, path, dataset.name.strip("/"))
     if dataset.dtype.kind in "OS":
         return np.array([_plain(text) for text in dataset[()].ravel()], dtype=np.str_)
     return np.array(dataset[()], dtype=dataset.dtype.newbyteorder("="), order="C")
@@ -192,10 +181,7 @@ def write_hdf5(
         h5py = import_h5py(path)
     except UnreadableFile as error:
         raise OutputFailed(error.fault, remedy=error.remedy, path=path) from None
-    with (
-        file_beside(path, overwrite=overwrite) as temporary,
-        h5py.File(temporary, "w") as file,
-    ):
+    with file_beside(path, overwrite=overwrite) as temporary, h5py.File(temporary, "w") as file:
         for key, value, _ in header_of(record, form):
             file.attrs[key] = value
         for part in form.extensions:

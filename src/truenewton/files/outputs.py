@@ -9,16 +9,23 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from truenewton.errors import OutputExists, OutputFailed, TrueNewtonError
 
+if TYPE_CHECKING:
+    from filelock import FileLock
+
+LOCK = ".lock"  # in a hidden folder
+NOT_LOCKED = OSError, RuntimeError  # another process has the lock, or the file system has none
+
 
 def refuse_existing(*targets: str | os.PathLike[str] | None, overwrite: bool = False) -> None:
-    """Raise OutputExists where a target stands and may not be overwritten; None is no target."""
+    """Raise OutputExists if one of the targets exists and may not be overwritten."""
     for target in targets:
         if target is not None and not overwrite and os.path.lexists(target):
             raise OutputExists(
@@ -30,63 +37,75 @@ def refuse_existing(*targets: str | os.PathLike[str] | None, overwrite: bool = F
 
 @dataclass(frozen=True)
 class _Made:
-    """Outputs that lie complete in a hidden folder beside their targets, under the same names."""
+    """Complete outputs in a hidden folder beside their targets, under the same names.
+
+    The lock shows others that the process of the folder runs; it ends with the process.
+    """
 
     work: Path
     targets: Sequence[Path]
+    lock: FileLock
+
+    def discard(self) -> None:
+        """Remove the hidden folder."""
+        with undisturbed():
+            self.lock.release()
+            shutil.rmtree(self.work, ignore_errors=True)
 
 
-# What `atomic_outputs` gathers; None where each output takes its name as soon as it is complete.
-_GATHERED: ContextVar[list[_Made] | None] = ContextVar("outputs", default=None)
+def _lock_of(work: Path) -> FileLock:
+    from filelock import FileLock  # which takes longer to import than all else that --help needs
+
+    return FileLock(work / LOCK)
+
+
+def remove_abandoned(folder: Path, names: Iterable[str]) -> None:
+    """Remove the hidden folders of outputs of these names whose process was killed."""
+    prefixes = tuple(f".{name}." for name in names)
+    for work in [each for each in folder.iterdir() if each.name.startswith(prefixes)]:
+        lock = _lock_of(work)
+        if (work / LOCK).exists():
+            with contextlib.suppress(*NOT_LOCKED):  # its process runs
+                lock.acquire(timeout=0)
+                _Made(work, (), lock).discard()
+
+
+# What `atomic_outputs` collects; None if each output takes its name as soon as it is complete.
+_COLLECTED: ContextVar[list[_Made] | None] = ContextVar("outputs", default=None)
 
 
 @contextlib.contextmanager
 def atomic_outputs() -> Iterator[None]:
-    """Let all outputs of a block take their names at its end: all appear, or none.
-
-    Raises
-    ------
-    OutputFailed
-    """
+    """Let all outputs of a block take their names at its end: all appear, or none."""
     made: list[_Made] = []
-    before = _GATHERED.set(made)
+    before = _COLLECTED.set(made)
     try:
         yield
         _take_names(made)
     finally:
-        _GATHERED.reset(before)
-        with undisturbed():
-            for each in made:
-                shutil.rmtree(each.work, ignore_errors=True)
+        _COLLECTED.reset(before)
+        for each in made:
+            each.discard()
 
 
 @contextlib.contextmanager
 def file_beside(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Give a hidden name beside the target for a file, which takes its own when the block ends.
+    """Give a hidden path for a file, which takes its name when the block ends.
 
-    Raises
-    ------
-    OutputExists
-        The target stands and ``overwrite`` is false, or is a folder.
-    OutputFailed
-        It cannot be written; nothing is left behind.
+    If it cannot be written (OutputFailed) or exists already (OutputExists), nothing is left behind.
     """
     target = Path(path)
     with files_together([target], overwrite=overwrite) as work:
         yield work / target.name
-        # Or a power cut after the renaming leaves a name without bytes.
+        # Otherwise a power cut after the renaming leaves a name without bytes.
         to_disk(work / target.name)
 
 
 @contextlib.contextmanager
 def files_together(targets: Sequence[Path], *, overwrite: bool = False) -> Iterator[Path]:
-    """Give a hidden folder for files of the targets' names, which take them when the block ends.
+    """Give a hidden folder for files of one folder, which take their names when the block ends.
 
-    All targets lie in one folder. The first takes its name last: where it stands, all do.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
+    The first takes its name last: if it exists, all do.
     """
     for target in targets:
         refuse_existing(target, overwrite=overwrite)
@@ -100,23 +119,16 @@ def files_together(targets: Sequence[Path], *, overwrite: bool = False) -> Itera
 def folder_beside(
     path: str | os.PathLike[str], suffixes: tuple[str, ...], *, overwrite: bool = False
 ) -> Iterator[Path]:
-    """Give a hidden folder beside the target, which takes its name when the block ends well.
+    """Give a hidden folder, which takes its name when the block ends without error.
 
-    A folder that stands is replaced only if told to, and only if every file in it ends in one of
-    ``suffixes``: nothing that we did not make is lost.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
+    An existing folder is replaced only with ``overwrite``, and only if every file in it ends in one
+    of ``suffixes``: files of others are never removed.
     """
     target = Path(path)
     refuse_existing(target, overwrite=overwrite)
     with in_one_line(target):
-        strange = [
-            p
-            for p in (target.iterdir() if target.is_dir() else ())
-            if not p.name.endswith(suffixes)
-        ]
+        inside = target.iterdir() if target.is_dir() else ()
+        strange = [each for each in inside if not each.name.endswith(suffixes)]
         if strange or (target.exists() and not target.is_dir()):
             raise OutputExists(
                 f"holds {strange[0].name}, which is not ours" if strange else "is not a folder",
@@ -130,72 +142,62 @@ def folder_beside(
 
 @contextlib.contextmanager
 def _beside(targets: Sequence[Path]) -> Iterator[Path]:
-    """Give a hidden folder beside the targets; what it holds at the end takes their names."""
-    first, gathered = targets[0], _GATHERED.get()
-    work: Path | None = None
-    before = _GATHERED.set(None)  # what is written inside it is no output yet
+    """Give a hidden folder beside the targets; what it contains at the end takes their names."""
+    first, collected = targets[0], _COLLECTED.get()
+    made: _Made | None = None
+    before = _COLLECTED.set(None)  # what is written inside it is no output yet
     with in_one_line(first):
         try:
+            remove_abandoned(first.parent, [first.name])
             with undisturbed():
                 work = Path(tempfile.mkdtemp(prefix=f".{first.name}.", dir=first.parent))
+                made = _Made(work, targets, _lock_of(work))
+                with contextlib.suppress(*NOT_LOCKED):
+                    made.lock.acquire(timeout=0)
             try:
                 yield work
-            except OutputFailed as error:  # it names a file that nobody will find
+            except OutputFailed as error:  # it names a file that will not exist
                 raise error.changed(path=first) from error
-            if gathered is None:
-                _take_names([_Made(work, targets)])
+            if collected is None:
+                _take_names([made])
             else:
-                gathered.append(_Made(work, targets))
-                work = None
+                collected.append(made)
+                made = None
         finally:
-            _GATHERED.reset(before)
-            if work is not None:
-                with undisturbed():
-                    shutil.rmtree(work, ignore_errors=True)
+            _COLLECTED.reset(before)
+            if made is not None:
+                made.discard()
 
 
 def _take_names(made: Sequence[_Made]) -> None:
-    """Give complete outputs their names; if one cannot have it, all stand as they stood before."""
-    taken: list[tuple[Path, Path, Path]] = []
-    with undisturbed():
+    """Give complete outputs their names; if one cannot have it, restore all targets."""
+    with undisturbed(), contextlib.ExitStack() as undo:
         for each in made:
             for target in reversed(each.targets):
                 new, old = each.work / target.name, each.work / f"{target.name}.old"
-                taken.append((target, new, old))
-                try:
-                    _put_aside(target, old)
+                with in_one_line(target):
+                    if target.is_dir() and not target.is_symlink():
+                        target.rename(old)
+                    elif os.path.lexists(target):  # a file stays until it is replaced
+                        with contextlib.suppress(OSError):  # not every file system links
+                            os.link(target, old, follow_symlinks=False)
+                    undo.callback(_restore, target, new, old)
                     new.replace(target)
-                except OSError:
-                    for back in reversed(taken):
-                        with contextlib.suppress(OSError):
-                            _take_back(*back)
-                    with in_one_line(target):
-                        raise
+        undo.pop_all()
 
 
-def _put_aside(target: Path, old: Path) -> None:
-    """Keep what stands at a target; a file goes on standing there until it is replaced."""
-    if target.is_dir() and not target.is_symlink():
-        target.rename(old)
-    elif os.path.lexists(target):
-        with contextlib.suppress(OSError):  # not every file system links
-            os.link(target, old, follow_symlinks=False)
-
-
-def _take_back(target: Path, new: Path, old: Path) -> None:
+def _restore(target: Path, new: Path, old: Path) -> None:
     """Undo what gave a target its name."""
-    if not os.path.lexists(new):
-        target.rename(new)
-    if os.path.lexists(old):
-        old.replace(target)
+    with contextlib.suppress(OSError):
+        if not os.path.lexists(new):
+            target.rename(new)
+        if os.path.lexists(old):
+            old.replace(target)
 
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM wait until the block has ended.
-
-    Signals reach the main thread only; elsewhere nothing has to wait.
-    """
+    """Delay Ctrl-C and SIGTERM to the end of the block; they reach the main thread only."""
     waiting: list[int] = []
     before = {}
     if threading.current_thread() is threading.main_thread():
@@ -212,7 +214,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def to_disk(path: str | os.PathLike[str]) -> None:
-    """Return when the bytes of a file, or the names in a folder, are on the disk."""
+    """Write the bytes of a file, or the names in a folder, to the disk."""
     if os.name == "nt" and Path(path).is_dir():  # Windows opens no folder, and keeps its names
         return
     handle = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
@@ -224,12 +226,7 @@ def to_disk(path: str | os.PathLike[str]) -> None:
 
 @contextlib.contextmanager
 def in_one_line(target: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn what the system says of a failed output into one line.
-
-    Raises
-    ------
-    OutputFailed
-    """
+    """Turn an error of the system about an output into an OutputFailed of one line."""
     try:
         yield
     except TrueNewtonError:

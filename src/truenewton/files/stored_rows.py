@@ -1,4 +1,4 @@
-"""Rows of a table that stay in their file: read anew, some at a time, whenever they are used."""
+"""Rows of a table that stay in their file and are read in blocks whenever they are used."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def runs(rows: NDArray[np.int64]) -> Iterator[slice]:
 
 
 def state_of(file: BufferedIOBase) -> tuple[int, int]:
-    """Return what tells whether an open file has changed: its size and time of change [ns]."""
+    """Return size and time of change [ns] of an open file, which show whether it has changed."""
     status = os.fstat(file.fileno())
     return status.st_size, status.st_mtime_ns
 
@@ -43,35 +43,19 @@ def state_of(file: BufferedIOBase) -> tuple[int, int]:
 class StoredRows:
     """Vectors of one column, (N, n), left in an uncompressed file.
 
-    Indexed by rows as an array is, it gives float64 in SI units; ``np.asarray`` gives all of it.
-    Plain reads, no memory map: pages of a map would count as the memory of this process.
-
-    Attributes
-    ----------
-    path, state
-        The file, and its size and time of change when it was verified.
-    start, stride
-        Bytes before the first vector, and from one to the next.
-    shape
-        (N, n).
-    stored
-        Type and byte order in the file.
-    in_unit
-        Converts values as stored to the unit wanted.
-    chosen
-        (n,) which values of each stored vector are meant, in their order; None where all are.
-    largest
-        What `largest_in_rows` has found, by the bytes of its ``columns``: rows are read once.
+    Indexed by rows like an array, it gives float64 in SI units; ``np.asarray`` gives all of it.
+    It uses reads and no memory map, whose pages would count as memory of this process.
     """
 
     path: str
-    state: tuple[int, int]
-    start: int
-    stride: int
-    shape: tuple[int, int]
-    stored: np.dtype[Any]
-    in_unit: Callable[[Array], Array] = np.asarray
-    chosen: NDArray[np.int64] | None = None
+    state: tuple[int, int]  # `state_of` the file when it was verified
+    start: int  # bytes before the first vector
+    stride: int  # bytes from one vector to the next
+    shape: tuple[int, int]  # (N, n)
+    stored: np.dtype[Any]  # type and byte order in the file
+    in_unit: Callable[[Array], Array] = np.asarray  # converts stored values to the unit wanted
+    chosen: NDArray[np.int64] | None = None  # (n,) which values of each vector; None for all
+    # Results of `largest_in_rows`, by the bytes of its ``columns``, so that rows are read once.
     largest: dict[bytes, Array] = field(default_factory=dict, init=False, repr=False)
 
     dtype = np.dtype(np.float64)
@@ -108,16 +92,13 @@ class StoredRows:
 
     @property
     def span(self) -> tuple[int, int]:
-        """From which value of a stored vector to which the chosen ones stand."""
+        """First and last + 1 of the chosen values in a stored vector."""
         if self.chosen is None:
             return 0, self.shape[1]
         return int(self.chosen[0]), int(self.chosen[-1]) + 1
 
     def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
-        """Read the `span` of some rows of the open file, (rows, span), as they are stored.
-
-        EOFError says that the file has changed.
-        """
+        """Read the `span` of some rows of the file, (rows, span); EOFError if it has changed."""
         first, end = self.span
         start = self.start + first * self.stored.itemsize
         return read_rows(file, start, self.stride, rows, end - first, self.stored)
@@ -132,7 +113,7 @@ Rows = Array | StoredRows
 
 
 def columns_of(values: Rows, columns: NDArray[np.bool_]) -> Rows:
-    """Return some columns, (N, n_chosen); what is in a file stays there, and only they are read."""
+    """Return some columns, (N, n_chosen); stored rows stay in their file."""
     if not isinstance(values, StoredRows):
         return values[:, columns]
     at = np.flatnonzero(columns)
@@ -144,7 +125,7 @@ def columns_of(values: Rows, columns: NDArray[np.bool_]) -> Rows:
 
 
 def largest_in_rows(values: Rows, columns: NDArray[np.bool_]) -> Array:
-    """Return (N,) the largest magnitude of some columns in each row; NaN where one is NaN."""
+    """Return (N,) the largest magnitude of some columns in each row; NaN if one is NaN."""
     known = values.largest if isinstance(values, StoredRows) else {}
     key = columns.tobytes()
     if key not in known:
@@ -166,16 +147,8 @@ def read_rows(
 ) -> NDArray[Any]:
     """Read (rows, width) values of a column, in native byte order; EOFError if the file is shorter.
 
-    Parameters
-    ----------
-    file
-        Open for reading.
-    start, stride
-        Bytes before the column in row 0, and from row to row.
-    at
-        (rows,) which ones; rows that follow each other are read together.
-    width, stored
-        Number of values in a row, and their type in the file.
+    ``start`` and ``stride`` are the bytes before the column in row 0, and from row to row; ``at``
+    are (rows,) numbers of rows, of which consecutive ones are read together.
     """
     values = np.empty((len(at), width), dtype=stored.newbyteorder("="))
     size = width * stored.itemsize

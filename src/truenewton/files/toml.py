@@ -1,4 +1,4 @@
-"""What people write by hand: TOML tables, held against the dataclass that they fill."""
+"""TOML tables, checked against the dataclass that they fill."""
 
 from __future__ import annotations
 
@@ -33,10 +33,9 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def filled(kind: type[Filled], table: Mapping[str, Any], path: object) -> Filled:
-    """Return a dataclass filled from a table of a file, its values held against their types.
+    """Return a dataclass filled from a table of a file; the values must have its types.
 
-    The fields are numbers, texts, pairs of numbers, other such dataclasses, or tuples of them; one
-    with a default may be left out.
+    The fields are numbers, texts, tuples, other such dataclasses, or tuples of them.
     """
     with naming(path):
         return _filled(kind, table, "", ())
@@ -54,7 +53,7 @@ def _filled(
             inside = f"{where}.{name}" if where else name
             values[name] = _value(hints[name], table[name], inside, tuple(fields))
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            raise FormatError(f"{prefix}lacks '{name}'", remedy="add it", want=name)
+            raise FormatError(f"{prefix}lacks '{name}'", remedy="add it")
     try:
         return kind(**values)
     except TrueNewtonError as error:
@@ -62,10 +61,7 @@ def _filled(
 
 
 def check_keys(
-    table: Mapping[str, Any],
-    known: Sequence[str],
-    path: object,
-    where: str = "",
+    table: Mapping[str, Any], known: Sequence[str], path: object, where: str = ""
 ) -> None:
     """Refuse the first key of a table that is none of those known."""
     with naming(path):
@@ -75,7 +71,7 @@ def check_keys(
 def _check_keys(
     table: Mapping[str, Any], known: Sequence[str], where: str, above: Sequence[str]
 ) -> None:
-    """Refuse a key; one of the table ``above`` may have been meant to stand there."""
+    """Refuse a key; it may belong into the table ``above``."""
     for key in table:
         if key in known:
             continue
@@ -84,9 +80,7 @@ def _check_keys(
             meant = f"write it above [{where}]"
         elif close := get_close_matches(key, known, 1):
             meant = f"did you mean '{close[0]}'? {meant}"
-        raise FormatError(
-            f"{_prefix(where)}knows no '{key}'", remedy=meant, got=key, want=tuple(known)
-        )
+        raise FormatError(f"{_prefix(where)}knows no '{key}'", remedy=meant)
 
 
 def _prefix(where: str) -> str:
@@ -116,7 +110,7 @@ def _value(kind: Any, value: Any, where: str, above: Sequence[str]) -> Any:
 
 
 def toml_text(record: Any) -> str:
-    """Return a dataclass as TOML that `filled` takes back; what is None is left out."""
+    """Return a dataclass as TOML that `filled` takes back; None is left out."""
     return "\n".join(_lines(record, "")) + "\n"
 
 
@@ -145,4 +139,4 @@ def _written(value: Any) -> str:
 
 def _wrong(where: str, want: str, got: Any) -> FormatError:
     shown = repr(got)[:60]
-    return FormatError(f"{where} is {shown}", remedy=f"give {want}", got=got, want=want)
+    return FormatError(f"{where} is {shown}", remedy=f"give {want}")

@@ -8,6 +8,7 @@ supervisor begins with its type and sizes (`float 672`), with the first index fa
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
 import warnings
@@ -24,7 +25,7 @@ from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, loca
 from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
 from truenewton.files.hdf5 import import_h5py, unit_of
-from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain
+from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain, refuse_too_large
 from truenewton.rounding import counted
 
 COMMENT = "#;%!"
@@ -111,6 +112,9 @@ def _fits(path: str) -> Stored:
 
 
 def _numpy(path: str) -> Stored:
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            refuse_too_large(sum(part.file_size for part in archive.infolist()), path)
     held = np.load(path, allow_pickle=False)
     return _gathered(path, {"": held} if isinstance(held, np.ndarray) else dict(held))
 
@@ -143,6 +147,7 @@ def _hdf5(path: str) -> Stored:
 
     def take(name: str, held: Any) -> None:
         if isinstance(held, h5py.Dataset) and held.dtype.kind in "fiub" and held.ndim:
+            refuse_too_large(held.nbytes, path, name)
             # MATLAB 7.3 stores arrays with their axes reversed.
             values = held[()].T if "MATLAB_class" in held.attrs else held[()]
             found[name] = Item(np.asarray(values, dtype=np.float64), unit_of(held))
@@ -157,6 +162,7 @@ def _matlab(path: str) -> Stored:
 
     if b"MATLAB 7.3" in Path(path).read_bytes()[:128]:
         return _hdf5(path)
+    refuse_too_large(sum(8 * math.prod(shape) for _, shape, _ in scipy.io.whosmat(path)), path)
     held = scipy.io.loadmat(path)
     return _gathered(path, {k: v for k, v in held.items() if not k.startswith("__")})
 

@@ -40,7 +40,7 @@ def export_supervisor(
     output: str | os.PathLike[str],
     *,
     overwrite: bool = False,
-    force: bool = False,
+    accept_rejected: bool = False,
 ) -> tuple[str, ...]:
     """Write the five files of a supervisor with each row of the matrix times alpha.
 
@@ -56,7 +56,7 @@ def export_supervisor(
         Its IDs are channels, as in a stiffness file that was imported from such a folder.
     output
         Folder to write.
-    overwrite, force
+    overwrite, accept_rejected
         Replace an existing folder; continue although the verdict is 'rejected'.
 
     Returns
@@ -75,7 +75,7 @@ def export_supervisor(
     >>> fits.writeto("ff_list.fits", layout.id)
     >>> done = tn.export_supervisor(".", calibration, "in-true-newtons")
     """
-    refuse_unusable(calibration, force=force)
+    refuse_unusable(calibration, accept_rejected=accept_rejected)
     folder = Path(folder)
     channels, matrix = _measured(folder)
     alpha = _alpha_of(channels, calibration, folder)

@@ -243,7 +243,7 @@ class _Request:
     motion: Any
     off: Sequence[int]
     slaved: Sequence[int]
-    force: bool
+    accept_rejected: bool
 
 
 @overload
@@ -252,7 +252,7 @@ def find_modes(
     atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
     radius: float | None = None, efficiency: float = EFFICIENCY, sensor_gain: Array | None = None,
     motion: Array | None = None, off: Sequence[int] = (), slaved: Sequence[int] = (),
-    reader: MotionReader | None = None, force: bool = False, processes: int | None = None,
+    reader: MotionReader | None = None, accept_rejected: bool = False, processes: int | None = None,
 ) -> ModalFindings: ...  # fmt: skip
 @overload
 def find_modes(
@@ -260,7 +260,7 @@ def find_modes(
     atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
     radius: float | None = None, efficiency: float = EFFICIENCY, sensor_gain: Array | None = None,
     motion: Seen | None = None, off: Sequence[int] = (), slaved: Sequence[int] = (),
-    reader: MotionReader | None = None, force: bool = False, processes: int | None = None,
+    reader: MotionReader | None = None, accept_rejected: bool = False, processes: int | None = None,
 ) -> ModalFindings | Parts[ModalFindings]: ...  # fmt: skip
 @taking_units(diameter="m", radius="m", efficiency="N W(-1/2)", sensor_gain="")
 def find_modes(
@@ -276,7 +276,7 @@ def find_modes(
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     reader: MotionReader | None = None,
-    force: bool = False,
+    accept_rejected: bool = False,
     processes: int | None = None,
 ) -> ModalFindings | Parts[ModalFindings]:
     """Find the stiffness modes of a mirror, and the cost of turbulence with 1, 2, ... of them.
@@ -299,7 +299,7 @@ def find_modes(
         See `true_stiffness`; ``motion`` is also used to calibrate the data.
     reader
         A reader that has read the cycles, see `motion_reader`; by default they are read.
-    force
+    accept_rejected
         Accept an alpha whose verdict is 'rejected'.
     processes
         As of `calibrate`.
@@ -326,7 +326,7 @@ def find_modes(
     """
     request = _Request(
         atmosphere or Atmosphere(0.8), diameter, radius, efficiency, sensor_gain, motion,
-        off, slaved, force,
+        off, slaved, accept_rejected,
     )  # fmt: skip
     if has_parts(data) and (calibration is None or has_parts(calibration)):
         return _of_segments(data, calibration, request, executor_for(data.layout, processes))
@@ -346,12 +346,12 @@ def _of_body(
 ) -> ModalFindings:
     """Find the modes of one body."""
     if calibration is not None:
-        refuse_unusable(calibration, force=request.force)
+        refuse_unusable(calibration, accept_rejected=request.accept_rejected)
     matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, request.motion)
     if _true_already(calibration):
         calibration = replace(calibration, alpha=calibration.alpha / calibration.alpha)  # or NaN
     else:
-        refuse_unusable(calibration, force=request.force)
+        refuse_unusable(calibration, accept_rejected=request.accept_rejected)
     matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
     stiffness_by = partial(
@@ -364,7 +364,7 @@ def _of_body(
     modes = (stiffness := stiffness_by(calibration)).modes
     elastic = modes.stiffness[3:]
     negative = int(np.count_nonzero(elastic < 0.0))
-    if 2 * negative > elastic.size and not request.force:
+    if 2 * negative > elastic.size and not request.accept_rejected:
         raise refusal_of(
             Level.REJECTED,
             f"{negative} of {elastic.size} elastic modes are negative",

@@ -8,8 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.acquisition.load_order import with_turns
-from truenewton.acquisition.plan import CampaignPlan, planned_bodies, planned_mirror
-from truenewton.acquisition.shapes import expected_alpha, model_glass, shapes_and_forces
+from truenewton.acquisition.plan import (
+    CampaignPlan,
+    expected_alpha,
+    model_glass,
+    planned_bodies,
+    planned_mirror,
+    shapes_and_forces,
+)
 from truenewton.arrays import Array
 from truenewton.bench.simulated.static import START
 from truenewton.errors import LimitExceeded

@@ -23,8 +23,7 @@ from truenewton.acquisition.load_order import (
     order_costs,
     scale_balance,
 )
-from truenewton.acquisition.plan import CampaignPlan, read_plan
-from truenewton.acquisition.shapes import expected_alpha
+from truenewton.acquisition.plan import CampaignPlan, expected_alpha, read_plan
 from truenewton.arrays import Array
 from truenewton.errors import LimitExceeded, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.findings.code import Code

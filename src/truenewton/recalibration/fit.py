@@ -106,25 +106,25 @@ class Recalibration:
 
 @overload
 def recalibrate(
-    campaign: Campaign, known: AnyKnown, actuators: Sequence[int] = (), *, force: bool = False,
-    processes: int | None = None,
+    campaign: Campaign, known: AnyKnown, actuators: Sequence[int] = (), *,
+    accept_rejected: bool = False, processes: int | None = None,
 ) -> Recalibration: ...  # fmt: skip
 @overload
 def recalibrate(
-    campaign: SegmentedData, known: AnyKnown, actuators: Sequence[int] = (), *, force: bool = False,
-    processes: int | None = None,
+    campaign: SegmentedData, known: AnyKnown, actuators: Sequence[int] = (), *,
+    accept_rejected: bool = False, processes: int | None = None,
 ) -> Parts[Recalibration]: ...  # fmt: skip
 @overload
 def recalibrate(
     campaign: Read | str | os.PathLike[str], known: AnyKnown, actuators: Sequence[int] = (), *,
-    force: bool = False, processes: int | None = None,
+    accept_rejected: bool = False, processes: int | None = None,
 ) -> Recalibration | Parts[Recalibration]: ...  # fmt: skip
 def recalibrate(
     campaign: Read | str | os.PathLike[str],
     known: AnyKnown,
     actuators: Sequence[int] = (),
     *,
-    force: bool = False,
+    accept_rejected: bool = False,
     processes: int | None = None,
 ) -> Recalibration | Parts[Recalibration]:
     """Calibrate replaced actuators from a short run and an earlier calibration of the others.
@@ -139,7 +139,7 @@ def recalibrate(
         one.
     actuators
         IDs of the actuators replaced; if empty, actuators that changed are found.
-    force
+    accept_rejected
         Use an earlier calibration with the verdict 'rejected', too.
     processes
         As in `calibrate`.
@@ -147,7 +147,7 @@ def recalibrate(
     Raises
     ------
     NotToBeUsed
-        The earlier calibration is rejected, and ``force`` is not set.
+        The earlier calibration is rejected, and ``accept_rejected`` is not set.
     UnreadableFile, FormatError, CampaignMismatch
         Files that cannot be used, or not together.
     UnknownName
@@ -172,7 +172,7 @@ def recalibrate(
         read(campaign) if isinstance(campaign, str | os.PathLike) else campaign
     )
     if not has_parts(run):
-        alone = _recalibrated(run, known, actuators, force=force)
+        alone = _recalibrated(run, known, actuators, accept_rejected=accept_rejected)
         warn_of(alone.calibration)
         return alone
     _, before = known_for(known, run)
@@ -183,7 +183,7 @@ def recalibrate(
             _recalibrated,
             known=before.part(number),
             actuators=run.own(number, actuators),
-            force=force,
+            accept_rejected=accept_rejected,
         )
 
     made = run.solved(solver, "alpha", executor_for(run.layout, processes))
@@ -192,10 +192,10 @@ def recalibrate(
 
 
 def _recalibrated(
-    data: Campaign, known: AnyKnown, actuators: Sequence[int], *, force: bool
+    data: Campaign, known: AnyKnown, actuators: Sequence[int], *, accept_rejected: bool
 ) -> Recalibration:
     """Recalibrate one body."""
-    before = prior_from(known, data, force=force)
+    before = prior_from(known, data, accept_rejected=accept_rejected)
     ids = data.layout.id[data.layout.enabled]
     new = _new(data, before, actuators)
     screened = screen_campaign(data)

@@ -95,16 +95,18 @@ class PriorCalibration:
     temperatures: tuple[float, float] | None = None
 
 
-def prior_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> PriorCalibration:
+def prior_from(
+    known: AnyKnown, campaign: Campaign, *, accept_rejected: bool = False
+) -> PriorCalibration:
     """Return the prior for a campaign; a law is taken at its temperature and date.
 
-    Raises `NotToBeUsed` if it is rejected, unless ``force``.
+    Raises `NotToBeUsed` if it is rejected, unless ``accept_rejected``.
     """
     name, given = known_for(known, campaign)
     n = given.layout.n
     further: dict[str, Any] = {}
     if isinstance(given, Tracking):
-        verdict = _verdict_on_days(given, force=force, path=name)
+        verdict = _verdict_on_days(given, accept_rejected=accept_rejected, path=name)
         temperature = mean_temperature(campaign.cycles)
         recorded = bool(np.isfinite(temperature))
         at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
@@ -118,7 +120,7 @@ def prior_from(known: AnyKnown, campaign: Campaign, *, force: bool = False) -> P
                 remedy="give a calibration whose scale comes from weights",
                 path=name,
             )
-        refuse_unusable(given, force=force, path=name)
+        refuse_unusable(given, accept_rejected=accept_rejected, path=name)
         verdict, alpha, temperature = given.verdict, given.alpha, given.temperature
         covariance = given.covariance[:n, :n]
         systematic_covariance = given.systematic_covariance[:n, :n]
@@ -163,11 +165,11 @@ def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
     return read_alpha(path)
 
 
-def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
+def _verdict_on_days(tracking: Tracking, *, accept_rejected: bool, path: str) -> Verdict:
     """Return the verdict on a law; raise `NotToBeUsed` if a day was rejected, unless forced."""
     days = [day.name for day in tracking.days if day.rejected]
     verdict = judged([Finding.of(Code.LAW_OF_REJECTED_DAY, day=day) for day in days[:1]])
-    if days and not force:
+    if days and not accept_rejected:
         fault = verdict.faults[0]
         raise refusal_of(verdict.level, fault.fault, fault.remedy, path)
     return verdict

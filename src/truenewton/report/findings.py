@@ -397,7 +397,7 @@ def _read_for(
 
 def _of_matrix(matrix: StiffnessMatrix, calibration: Calibration) -> Findings:
     evidence = stiffness_evidence(matrix, calibration)
-    modes, no_modes = _modes(matrix, lambda: find_modes(matrix, calibration, force=True))
+    modes, no_modes = _modes(matrix, lambda: find_modes(matrix, calibration, accept_rejected=True))
     return Findings(matrix, calibration, evidence, modes=modes, no_modes=no_modes)
 
 
@@ -415,7 +415,7 @@ def _of_campaign(
     evidence, modes = campaign_evidence(screened, calibration, imbalance), None
     if reader is not None:
         modes, no_modes = _modes(
-            campaign, lambda: find_modes(campaign, calibration, reader=reader, force=True)
+            campaign, lambda: find_modes(campaign, calibration, reader=reader, accept_rejected=True)
         )
     return Findings(campaign, calibration, evidence, modes=modes, no_modes=no_modes)
 

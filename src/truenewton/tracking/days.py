@@ -97,10 +97,12 @@ def of_all(days: Sequence[Named]) -> Days:
     return Days(mirror.instrument, mirror.layout, days)
 
 
-def gather_days(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
+def gather_days(
+    given: Iterable[Given], *, accept_rejected: bool = False
+) -> tuple[DatedCalibration, ...]:
     """Return the calibrations in order of time; cycles are calibrated first.
 
-    Calibrations that are rejected (unless ``force``) or do not belong together raise an error.
+    Raises an error if calibrations do not belong together, or are rejected (`accept_rejected`).
     """
     days = sorted(
         (day for item in given for day in _dated(*named(item))),
@@ -108,7 +110,7 @@ def gather_days(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCa
     )
     for day in days:
         _refuse_relative(day)
-        refuse_unusable(day.calibration, force=force, path=day.name)
+        refuse_unusable(day.calibration, accept_rejected=accept_rejected, path=day.name)
     for earlier, day in combinations(days, 2):
         _refuse_other_mirror(earlier, day)
     without = [day for day in days if not np.isfinite(day.calibration.temperature)]

@@ -58,20 +58,26 @@ MAX_OUTLIER_FRACTION = 0.25  # of the actuators; with more there is no populatio
 
 @overload
 def track(
-    *given: Calibration | Campaign, force: bool = False, segment: int | None = None,
+    *given: Calibration | Campaign, accept_rejected: bool = False, segment: int | None = None,
     processes: int | None = None,
 ) -> Tracking: ...  # fmt: skip
 @overload
 def track(
-    *given: Parts[Calibration] | SegmentedData, force: bool = False, segment: None = None,
+    *given: Parts[Calibration] | SegmentedData, accept_rejected: bool = False, segment: None = None,
     processes: int | None = None,
 ) -> Parts[Tracking]: ...  # fmt: skip
 @overload
 def track(
-    *given: Given, force: bool = False, segment: int | None = None, processes: int | None = None
+    *given: Given,
+    accept_rejected: bool = False,
+    segment: int | None = None,
+    processes: int | None = None,
 ) -> Tracking | Parts[Tracking]: ...
 def track(
-    *given: Given, force: bool = False, segment: int | None = None, processes: int | None = None
+    *given: Given,
+    accept_rejected: bool = False,
+    segment: int | None = None,
+    processes: int | None = None,
 ) -> Tracking | Parts[Tracking]:
     """Find how alpha varies with temperature and time; in several segments each by itself.
 
@@ -81,7 +87,7 @@ def track(
         Calibrations, campaigns, or paths to them, in any order, of two days or temperatures at
         least. Cycles of one campaign whose temperatures differ by more than 1 K are calibrated
         separately.
-    force
+    accept_rejected
         Use calibrations with the verdict 'rejected', too.
     segment
         Track only this segment, in files of a mirror in several segments.
@@ -91,7 +97,7 @@ def track(
     Raises
     ------
     NotToBeUsed
-        The verdict on one of them is 'rejected', and ``force`` is not set.
+        The verdict on one of them is 'rejected', and ``accept_rejected`` is not set.
     UnreadableFile, FormatError, CampaignMismatch
         Files that cannot be tracked, or not together.
     RankDeficient
@@ -110,13 +116,15 @@ def track(
     if segment is None and any(has_parts(day.data) for day in every):
         together = of_all(every)
         executor = executor_for(together.layout, processes)
-        return together.solved(lambda _: partial(_law, force=force), "a law", executor)
-    return _law(of_one(every, segment), force=force)
+        return together.solved(
+            lambda _: partial(_law, accept_rejected=accept_rejected), "a law", executor
+        )
+    return _law(of_one(every, segment), accept_rejected=accept_rejected)
 
 
-def _law(given: Sequence[Named], *, force: bool) -> Tracking:
+def _law(given: Sequence[Named], *, accept_rejected: bool) -> Tracking:
     """Return the law of one body."""
-    days = gather_days(given, force=force)
+    days = gather_days(given, accept_rejected=accept_rejected)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(

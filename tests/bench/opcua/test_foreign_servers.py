@@ -19,7 +19,7 @@ from helpers.foreign_server import NAMESPACE, electronics
 from helpers.opcua_server import choice, free_port, in_thread
 from helpers.stub_bench import SMALL, StubBench
 from truenewton.acquisition.acquire import chosen_bench
-from truenewton.acquisition.shapes import shapes_and_forces
+from truenewton.acquisition.plan import shapes_and_forces
 from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.methods import (
     METHODS,
@@ -315,11 +315,11 @@ def test_the_error_of_a_mean_in_closed_loop_is_that_of_readings_taken_again():
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda shape, z: np.roll(z, 1), "in a shape of 1e-06 m, .* plan fewer shapes"),
-        (lambda shape, z: z + 2e-7 * shape.number * np.eye(8)[2], "actuator 3 stands .* m from"),
+        (lambda shape, z: np.roll(z, 1), "in a shape of 1e-06 m; .* plan fewer shapes"),
+        (lambda shape, z: z + 2e-7 * shape.number * np.eye(8)[2], "actuator 3 is .* m from"),
         (
             lambda shape, z: 0.8 * z,
-            "a tenth is let pass, and six times its position_scatter of 1e-",
+            "allowed are 10% of the stroke and 6 times its position_scatter of 1e-",
         ),
     ],
     ids=["cables", "one actuator", "scale"],

@@ -22,7 +22,7 @@ from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.client import OpcUaBench
 from truenewton.bench.opcua.methods import METHODS, scalar
 from truenewton.bench.protocol import Bench, BenchChoice, Operator, Reading, Shape
-from truenewton.bench.simulated.electronics import SAMPLES
+from truenewton.bench.simulated.loop import SAMPLES
 from truenewton.bench.simulated.static import static_bench
 from truenewton.errors import BenchFault, FormatError, UnknownName, UnreadableFile
 from truenewton.mirrors.known import ring

@@ -7,7 +7,7 @@ import pytest
 
 import truenewton as tn
 from truenewton.bench.protocol import Shape
-from truenewton.bench.simulated.electronics import SAMPLES
+from truenewton.bench.simulated.loop import SAMPLES
 from truenewton.bench.simulated.static import (
     held_command,
     loop_of,

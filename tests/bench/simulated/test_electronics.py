@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truenewton.bench.simulated.electronics import (
+from truenewton.bench.simulated.loop import (
     Coils,
     Sensors,
     counts,

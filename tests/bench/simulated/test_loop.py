@@ -9,22 +9,21 @@ from scipy.signal import cont2discrete, lfilter
 
 from helpers.shells import condense, influence
 from studies.step_response import settling_time, step_responses
-from truenewton.bench.simulated.electronics import Coils, Control, Sensors, draw_sensors
 from truenewton.bench.simulated.loop import (
     CREEP_TIMES,
     MAX_DRIFT,
     RAMP_TIME,
+    Coils,
+    Control,
     Loop,
-    _single_threaded,
+    Sensors,
     advance,
-    check_stability,
+    draw_sensors,
     equilibrium,
     record,
-    roots,
     row_noise,
     samples_of,
     slowest_creep,
-    state_matrix,
 )
 from truenewton.errors import BenchFault, LoopUnstable
 from truenewton.mirrors.known import GRAVITY, p45
@@ -51,11 +50,9 @@ def one_mode(k=2e5, mass=6.6e-3, damping=64.0, alpha=0.8, gain=1.05, **changes):
 
 
 def closed_loop(k, mass, damping, coils, sensors, control):
-    """Return the loop around a glass, if the gains hold it."""
+    """Return the loop around a glass."""
     softer = k - coils.bias_gradient * np.eye(len(k))
-    loop = Loop(softer, mass, damping, coils, sensors, control)
-    check_stability(loop)
-    return loop
+    return Loop(softer, mass, damping, coils, sensors, control)
 
 
 def p45_parts(seed=1):
@@ -70,10 +67,6 @@ def p45_parts(seed=1):
     held = k - coils.bias_gradient * np.eye(n)
     control = Control(held / coils.alpha[:, None] * sensors.gain)
     return k, np.diag(mass), 64.0 * np.eye(n), coils, sensors, control
-
-
-def roots_of(k, mass, damping, coils, sensors, control):
-    return roots(Loop(k, mass, damping, coils, sensors, control))
 
 
 @pytest.fixture(scope="module")
@@ -165,86 +158,11 @@ def test_the_glass_moves_as_its_differential_equation_says():
     assert after[3:] == pytest.approx(PERIOD * exact[3:], rel=1e-8)
 
 
-def test_the_slowest_creep_is_the_slowest_motion_of_the_loop_without_its_integrator(p45_loop):
-    without = replace(p45_loop.control, slow_gain=1.0)
-    for thicker, inertia in ((1.0, 0.15), (8.0, 0.01)):
-        loop = replace(p45_loop, control=without, damping=thicker * p45_loop.damping)
-        radii = np.abs(roots(loop))
-        slowest = radii[~np.isclose(radii, 1 - without.slow)].max()
-        creep = slowest_creep(loop) * -np.log(slowest) / PERIOD
-        assert 1.0 < creep < 1 + inertia
-
-
-@pytest.mark.parametrize("delay", [0, 1, 3])
-def test_the_roots_are_those_of_the_transfer_functions(delay):
-    k, mass, damping = 2e5, 6.6e-3, 64.0
-    loop = one_mode(k, mass, damping, delay=delay)
-    found = np.linalg.eigvals(
-        state_matrix(loop.step, loop.coils.alpha, loop.sensors.gain, loop.control)
-    )
-    expected = np.roots(loop_polynomials(loop, k, mass, damping)[2])
-    assert np.sort(np.abs(found)) == pytest.approx(np.sort(np.abs(expected)), abs=1e-4)
-    assert np.abs(found).max() == pytest.approx(np.abs(expected).max(), rel=1e-9)
-
-
-@pytest.mark.parametrize(("delay", "limit"), [(0, 2.0), (1, 1.0), (2, 2 * np.sin(np.pi / 10))])
-def test_gains_are_refused_where_the_closed_form_says(delay, limit):
-    """Film alone: z changes by -(alpha k_p period / C) z, delayed; limit 2 sin(pi / (4d + 2))."""
-    damping, alpha = 64.0, 0.8
-
-    def held(part):
-        gain = part * limit * damping / PERIOD / alpha
-        return one_mode(
-            k=31.0, mass=1e-7, damping=damping, alpha=alpha, gain=1.0,
-            proportional=gain, derivative=0.0, slow_gain=1.0, delay=delay,
-        )  # fmt: skip
-
-    held(0.99)
-    with pytest.raises(LoopUnstable, match=r"at \d+ Hz grows .* lower the gains") as refused:
-        held(1.01)
-    assert 1.0 < refused.value.got < 1.05
-
-
-def test_without_gain_the_bias_magnets_pull_the_glass_to_the_plate():
-    with pytest.raises(LoopUnstable, match=r"at 0 Hz grows .* raise the proportional gain"):
-        one_mode(k=0.0, proportional=0.0)
-
-
-def test_modes_taken_alone_stand_for_the_whole(monkeypatch):
-    """The approximation of large mirrors, on one small enough for the whole."""
-    k, mass, damping, coils, sensors, control = p45_parts()
-    parts = k - 31 * np.eye(45), mass, damping
-    even = replace(coils, alpha=np.full(45, 0.8)), replace(sensors, gain=np.ones(45))
-    whole = roots_of(*parts, *even, control)
-    rough = roots_of(*parts, coils, sensors, control)
-    monkeypatch.setattr("truenewton.bench.simulated.loop.MAX_DENSE_ACTUATORS", 10)
-    alone = roots_of(*parts, *even, control)
-    assert np.abs(alone).max() == pytest.approx(np.abs(whole).max(), rel=1e-9)
-    # A gain too high is as much too high either way, alpha 0.7 to 1.1.
-    high = replace(control, derivative=600.0)
-    alone = np.abs(roots_of(*parts, coils, sensors, high)).max()
-    monkeypatch.undo()
-    whole = np.abs(roots_of(*parts, coils, sensors, high)).max()
-    assert np.abs(rough).max() < 1 < whole <= alone
-    assert alone == pytest.approx(whole, rel=0.05)
-
-
-def test_no_triangle_of_a_slightly_asymmetric_glass_is_taken_for_the_whole(monkeypatch):
-    k, mass, damping, coils, sensors, control = p45_parts()
-    monkeypatch.setattr("truenewton.bench.simulated.loop.MAX_DENSE_ACTUATORS", 10)
-    skew = 1e-3 * np.abs(k).max() * np.random.default_rng(2).standard_normal((45, 45))
-    k = k + skew - skew.T
-    once = roots_of(k, mass, damping, coils, sensors, control)
-    again = roots_of(k.T, mass, damping, coils, sensors, control)
-    assert np.sort(np.abs(again)) == pytest.approx(np.sort(np.abs(once)), rel=1e-9)
-
-
 def test_an_unstable_loop_stops_itself(p45_loop, p45_shapes):
     wild = replace(p45_loop, control=replace(p45_loop.control, derivative=600.0))
     noise = [row_noise(1, "bare", 1, k, 1) for k in range(45)]
-    with pytest.raises(BenchFault, match=r"actuator \d+ (is asked for|touches)") as stopped:
+    with pytest.raises(BenchFault, match=r"actuator \d+ (is asked for|touches)"):
         record(wild, 0 * p45_shapes, LOAD, noise)
-    assert abs(stopped.value.got) > stopped.value.want
 
 
 def test_noise_that_grows_stops_the_run():
@@ -255,7 +173,6 @@ def test_noise_that_grows_stops_the_run():
         coils=replace(loop.coils, saturation=np.inf),
         sensors=replace(loop.sensors, noise=1e-11),
     )
-    assert 1.001 < np.abs(roots(wild)).max() < 1.002  # a sample
     zero, noise = np.zeros((1, 1)), [row_noise(1, "bare", 1, 1, 1)]
     with pytest.raises(LoopUnstable, match="the noise of actuator 0 in shape 0 grows"):
         record(wild, zero, zero, noise, settling=0.05)
@@ -263,9 +180,8 @@ def test_noise_that_grows_stops_the_run():
 
 def test_a_shape_beyond_the_coils_or_through_the_gap_stops_the_run(p45_loop, p45_shapes):
     stiff = p45_shapes[:, -2:] * [1.0, 4.0]
-    with pytest.raises(BenchFault, match=r"is asked for .* in shape 1, 0\.\d+ ms after") as stopped:
+    with pytest.raises(BenchFault, match=r"is asked for .* in shape 1, 0\.\d+ ms after"):
         record(p45_loop, stiff, LOAD)
-    assert abs(stopped.value.got) > stopped.value.want == 0.8
     strong = replace(p45_loop, coils=replace(p45_loop.coils, saturation=1e3))
     with pytest.raises(BenchFault, match="touches the plate or is too near"):
         record(strong, np.full((45, 1), 40e-6), LOAD)
@@ -344,12 +260,6 @@ def test_noise_of_sensor_and_driver_enter_where_they_should(source):
     else:  # it does not wait for the computation
         expected = lfilter(by_force[loop.control.delay :], denominator, 30e-6 * drawn[:, 1])
     assert found == pytest.approx(expected, abs=1e-4 * expected.std())
-
-
-def test_products_of_small_mirrors_stay_on_one_thread_and_give_every_column():
-    few = _single_threaded(np.broadcast_to(1.0, (146, 219)), 146)
-    assert [k for part in few for k in np.arange(146)[part]] == list(range(146))
-    assert _single_threaded(np.broadcast_to(1.0, (1344, 2016)), 1344) == [slice(1344)]
 
 
 def test_each_shape_needs_its_own_noise(p45_loop, p45_shapes):

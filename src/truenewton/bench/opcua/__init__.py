@@ -1,6 +1,6 @@
 """A bench behind OPC UA; the extra `opcua` is needed only to connect or serve.
 
-client    a bench behind an OPC UA server, as any other bench
+client    a bench behind an OPC UA server, used like any other bench
 server    a bench behind a server on the loopback
 methods   the variables and methods of its node
 keys      certificates, private keys and a password, in a folder of the owner
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def require_asyncua() -> None:
-    """Refuse where the extra is not installed."""
+    """Raise BenchFault if the extra is not installed."""
     try:
         import asyncua  # noqa: F401
     except ModuleNotFoundError as error:
@@ -34,16 +34,15 @@ def connect(choice: BenchChoice, folder: str | os.PathLike[str] = ".") -> OpcUaB
     Parameters
     ----------
     choice
-        Its address, and user, password_file, certificate, private_key and server_certificate,
-        all of which are required.
+        Its address, user, password_file, certificate, private_key and server_certificate.
     folder
-        Relative to which the files stand: that of the plan.
+        To which the files are relative: that of the plan.
 
     Raises
     ------
     BenchFault
-        The extra is not installed, something is missing in the choice, the server does
-        not answer, or it refuses us.
+        The extra is not installed, the choice is incomplete, or the server does not answer or
+        refuses the client.
     UnreadableFile, FormatError
         Keys that cannot be used.
 

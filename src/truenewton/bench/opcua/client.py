@@ -1,11 +1,10 @@
-"""A bench behind an OPC UA server, as any other bench: calls that wait for their answer."""
+"""A bench behind an OPC UA server, used like any other bench: its calls wait for their answer."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -30,36 +29,33 @@ from truenewton.errors import BenchFault, Interrupted, TrueNewtonError
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
-PAUSE = 0.2  # between two attempts [s]
-Attribute = ua.AttributeIds
 ERRORS = {  # an interruption is always our own
     error.__name__: error for error in TrueNewtonError.__subclasses__() if error is not Interrupted
 }
 
 
 class OpcUaBench:
-    """A mirror behind an OPC UA server, signed, encrypted, with user and password.
+    """A mirror behind an OPC UA server: signed, encrypted, with user and password.
 
-    A connection that is lost comes back with the next call. A reading is refused then until a
-    shape was commanded anew: what the mirror did meanwhile is unknown. `opcua.connect` describes
-    the arguments and errors.
+    A lost connection is opened again by the next call. A reading is then refused until a shape has
+    been commanded, because the mirror may have moved. See `opcua.connect` for arguments and errors.
 
     Attributes
     ----------
     instrument, layout, gap, gradients
-        As of `Bench` and `Graded`; gradients None where the server does not know.
+        As of `Bench` and `gradients_of`.
     put_on
-        As of `Operator`, where the server has PutOn; else there is none.
+        As of `Operator`, if the server has PutOn; otherwise there is no such attribute.
     """
 
     instrument: str
     layout: Layout
     gap: float
     gradients: tuple[float | None, float | None]
-    put_on: Callable[[Load], None]  # only where the server has PutOn: else somebody is asked
+    put_on: Callable[[Load], None]
 
     _timeout = 60.0  # for one answer; a reading waits for the mirror to settle [s]
-    _patience = 10.0  # with a server that is not there [s]
+    _patience = 10.0  # for a connection [s]
 
     def __init__(self, choice: BenchChoice, folder: str | os.PathLike[str] = ".") -> None:
         for name in ("address", "user", *keys.CLIENT_FILES):
@@ -117,7 +113,7 @@ class OpcUaBench:
         self._call("Rest")
 
     def close(self) -> None:
-        """End the connection; the bench is of no more use."""
+        """Close the connection for good."""
         if self._thread.is_alive():
             self._thread.post(self._drop(broken=False))
             self._thread.stop()
@@ -150,9 +146,7 @@ class OpcUaBench:
                 remedy="command it again",
             )
         request = ua.CallMethodRequest(
-            ua.NodeId("Bench", self._space),
-            ua.NodeId(f"Bench.{method}", self._space),
-            arguments,
+            ua.NodeId("Bench", self._space), ua.NodeId(f"Bench.{method}", self._space), arguments
         )
         try:
             (result,) = await client.uaclient.call([request])
@@ -160,7 +154,7 @@ class OpcUaBench:
             await self._drop()
             raise self._fault(
                 f"does not answer {method} within {self._timeout:g} s",
-                "see to the bench: it may still be moving",
+                "check the bench: it may still be moving",
             ) from None
         except (OSError, ua.UaError) as error:
             await self._drop()
@@ -170,44 +164,42 @@ class OpcUaBench:
         return [variant.Value for variant in result.OutputArguments or ()]
 
     async def _connected(self) -> Client:
-        """Return a client with a session, the one there is or a new one."""
+        """Return a client with a session, the present or a new one."""
         client = self._client
         if client is not None and client.uaclient.state is UaClientState.CONNECTED:
             return client
         await self._drop()
-        deadline = time.monotonic() + self._patience
-        while True:
-            client = self._new_client()
-            try:
-                await asyncio.wait_for(client.connect(), self._patience)
-            except (OSError, TimeoutError) as error:
-                client.disconnect_socket()
-                if time.monotonic() + PAUSE > deadline:
-                    raise self._fault(
-                        f"cannot be reached ({_text(error)})",
-                        "start it; if it runs, it does not trust this certificate, is not the one"
-                        " of server_certificate, or offers no Basic256Sha256, signed and encrypted",
-                    ) from error
-                await asyncio.sleep(PAUSE)
-            except ValueError as error:  # of the address
-                raise self._fault(
-                    f"cannot be reached ({_text(error)})", "give opc.tcp://host:port"
-                ) from error
-            except ua.UaError as error:
-                client.disconnect_socket()
-                raise self._fault(
-                    f"refuses user '{self._choice.user}' ({_text(error)})",
-                    "check user, password_file, certificate and server_certificate",
-                ) from error
-            else:
-                self._client, self._connections = client, self._connections + 1
-                await self._recognise(client)
-                return client
+        client = self._new_client()
+        try:
+            await asyncio.wait_for(client.connect(), self._patience)
+        except (OSError, TimeoutError) as error:
+            client.disconnect_socket()
+            raise self._fault(
+                f"cannot be reached ({_text(error)})",
+                "start it; if it runs, it does not trust this certificate, is not the one of"
+                " server_certificate, or offers no Basic256Sha256, signed and encrypted",
+            ) from error
+        except ValueError as error:  # of the address
+            raise self._fault(
+                f"cannot be reached ({_text(error)})", "give opc.tcp://host:port"
+            ) from error
+        except ua.UaError as error:
+            client.disconnect_socket()
+            raise self._fault(
+                f"refuses user '{self._choice.user}' ({_text(error)})",
+                "check user, password_file, certificate and server_certificate",
+            ) from error
+        self._client, self._connections = client, self._connections + 1
+        try:
+            await self._recognise(client)
+        except BaseException:
+            await self._drop()
+            raise
+        return client
 
     def _new_client(self) -> Client:
         """Return a client that is not yet connected."""
-        # asyncua asks the server now and then how it is, and waits so long for the answer: not
-        # while it waits for a reading.
+        # asyncua's watchdog must not give up while the client waits for a reading.
         client = Client(
             self._choice.address, timeout=self._timeout, watchdog_intervall=self._timeout
         )
@@ -221,25 +213,22 @@ class OpcUaBench:
         return client
 
     async def _recognise(self, client: Client) -> None:
-        """Learn what the mirror is, or see that it is still the same."""
+        """Read what the mirror is, or check that it is still the same."""
         try:
             self._space = await client.get_namespace_index(keys.NAMESPACE)
             values = await self._attributes(
-                client, [name for name, _ in VARIABLES], Attribute.Value
+                client, [name for name, _ in VARIABLES], ua.AttributeIds.Value
             )
-            methods = await self._attributes(client, list(METHODS), Attribute.NodeClass)
+            methods = await self._attributes(client, list(METHODS), ua.AttributeIds.NodeClass)
         except (OSError, ValueError, ua.UaError) as error:
-            await self._drop()
             raise self._fault(
                 f"is not that of a bench ({_text(error)})", "check bench.address"
             ) from error
         try:
             instrument, gap, gradients, layout = mirror_of(values, methods)
         except BenchFault as error:
-            await self._drop()
             raise self._fault(error.fault, error.remedy) from None
         except TrueNewtonError as error:
-            await self._drop()
             what = f"gives Id, X, Y, Nz or Enabled that cannot be: {error.fault}"
             raise self._fault(what, error.remedy) from None
         if self._connections == 1:
@@ -248,22 +237,21 @@ class OpcUaBench:
             if "PutOn" in methods:
                 self.put_on = self._put_on
         elif instrument != self.instrument or not layout.same_as(self.layout):
-            await self._drop()
             raise self._fault(
                 f"is no longer that of {self.instrument} with its {self.layout.n} actuators",
-                "connect anew",
+                "connect again",
             )
 
     async def _attributes(
         self, client: Client, names: list[str], attribute: ua.AttributeIds
     ) -> dict[str, Any]:
-        """Return an attribute of those nodes that are there, by name."""
+        """Return an attribute of the nodes that exist, by name."""
         nodes = [client.get_node(ua.NodeId(f"Bench.{name}", self._space)) for name in names]
         found = zip(names, await client.read_attributes(nodes, attribute), strict=True)
         return {name: one.Value.Value for name, one in found if one.StatusCode.is_good()}
 
     async def _drop(self, *, broken: bool = True) -> None:
-        """End the connection; without a farewell, which would wait, where it is broken."""
+        """Close the connection; if it is broken, without a message to the server."""
         client, self._client = self._client, None
         if client is not None:
             if broken:

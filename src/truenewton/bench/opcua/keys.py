@@ -1,7 +1,4 @@
-"""Who may use a bench: certificates, private keys and a password, in a folder of the owner's.
-
-Server and client read them here. This file needs asyncua.
-"""
+"""Certificates, private keys and the password of server and client, in a folder of the owner."""
 
 from __future__ import annotations
 
@@ -42,16 +39,16 @@ CLIENT_FILES = {
     "private_key": CLIENT_KEY,
     "server_certificate": SERVER_CERTIFICATE,
 }
-TRUSTED = "trusted"  # a folder: the certificates of the clients that may come
+TRUSTED = "trusted"  # a folder: the certificates of the clients that are admitted
 YEARS = 5
-MOST_KEY = 2**16  # bytes
+MAX_KEY_BYTES = 2**16
 Value = TypeVar("Value")
 # If logging is not set up, asyncua would print every refusal, with its traceback.
 logging.getLogger("asyncua").addHandler(logging.NullHandler())
 
 
 def make_keys(folder: str | os.PathLike[str]) -> None:
-    """Make the keys of a server and of one client, unless the folder stands."""
+    """Make the keys of a server and of one client, unless the folder exists."""
     if os.path.lexists(folder):
         return
     with folder_beside(folder, ()) as new:
@@ -121,7 +118,7 @@ def read_certificate(path: str | os.PathLike[str]) -> x509.Certificate:
 
 
 def read_trusted(folder: str | os.PathLike[str]) -> frozenset[bytes]:
-    """Return the certificates (DER) of the clients that may come."""
+    """Return the certificates (DER) of the clients that are admitted."""
     try:
         files = sorted(Path(folder).iterdir())
     except OSError as error:
@@ -136,12 +133,9 @@ def read_trusted(folder: str | os.PathLike[str]) -> frozenset[bytes]:
 def _parsed(
     path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Value], *, secret: bool
 ) -> Value:
-    """Read a file and parse it; a secret one must be closed to all but its owner.
-
-    On Windows the mode of a file does not say whom it is open to, and is not asked.
-    """
+    """Read a file and parse it; only its owner may read a secret one (not checked on Windows)."""
     with open_plain(path) as file:
-        mode, content = os.fstat(file.fileno()).st_mode, file.read(MOST_KEY)
+        mode, content = os.fstat(file.fileno()).st_mode, file.read(MAX_KEY_BYTES)
     if secret and mode & (stat.S_IRWXG | stat.S_IRWXO) and os.name != "nt":
         raise UnreadableFile(
             "may be read by others than its owner", remedy="chmod 600 it", path=path

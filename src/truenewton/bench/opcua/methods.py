@@ -1,6 +1,6 @@
-"""The variables and methods of a bench's node: what each takes and, after the fault, gives.
+"""The variables and methods of a bench's node: what each takes, and what it gives after the fault.
 
-A list is an array. A fault is no text or three: the error's name, what is wrong, the remedy.
+A list is an array. A fault is empty, or three texts: the error's name, what is wrong, the remedy.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ METHODS: dict[str, tuple[Arguments, Arguments]] = {
 }  # fmt: skip
 # What a server may leave out.
 OPTIONAL = frozenset({"Gradients", "Enabled", "PutOn", "ForceError"})
-ALIKE: dict[ua.VariantType, tuple[type, ...]] = {  # in Python, by the types of OPC UA
+PYTHON_TYPES: dict[ua.VariantType, tuple[type, ...]] = {
     Type.String: (str,),
     Type.Boolean: (bool,),
     Type.Int32: (int,),
@@ -53,17 +53,19 @@ ALIKE: dict[ua.VariantType, tuple[type, ...]] = {  # in Python, by the types of 
     Type.DateTime: (datetime.datetime,),
 }
 MAX_MESSAGE = 2 * 2**20  # of 50,000 actuators [bytes]
-LONGEST_TEXT = 1000  # characters; of a longer one the beginning counts
+MAX_TEXT_LENGTH = 1000  # characters, to which texts of a server are cut
 COLUMNS = ("Id", "X", "Y", "Nz", "Enabled")  # of the layout
-ARRAYS = {Type.Boolean: np.bool_, Type.Int64: np.int64, Type.Double: np.float64}
 
 
 def variants(values: Iterable[Any], kinds: Arguments) -> list[ua.Variant]:
-    """Return values, numpy's too, as OPC UA sends them."""
-    return [
-        ua.Variant(_sent(value, kind), scalar(kind))
-        for value, (_, kind) in zip(values, kinds, strict=True)
-    ]
+    """Return values, also those of numpy, as OPC UA sends them."""
+    sent = []
+    for value, (_, kind) in zip(values, kinds, strict=True):
+        if value is None and isinstance(kind, list):
+            value = []
+        plain = value.tolist() if hasattr(value, "tolist") else value
+        sent.append(ua.Variant(plain, scalar(kind)))
+    return sent
 
 
 def scalar(kind: Any) -> Any:
@@ -71,36 +73,26 @@ def scalar(kind: Any) -> Any:
     return kind[0] if isinstance(kind, list) else kind
 
 
-def _sent(value: Any, kind: Any) -> Any:
-    if value is None and isinstance(kind, list):
-        return []
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
 def received(name: str, value: Any, kind: Any) -> Any:
-    """Return a value as a server sent it; an array of numbers as numpy's. Refuse another kind."""
+    """Return a value from a server, an array of numbers as (n,) numpy; refuse another type."""
     type_, array = scalar(kind), isinstance(kind, list)
     values = ([] if value is None else value) if array else [value]
-    good = isinstance(values, list) and all(
-        isinstance(one, ALIKE[type_]) and (type_ is Type.Boolean or not isinstance(one, bool))
-        for one in values
-    )
-    if not good:
+    if not isinstance(values, list) or any(type(one) not in PYTHON_TYPES[type_] for one in values):
         want = f"{type_.name}[]" if array else type_.name
         raise BenchFault(f"gives {name} as {value!r:.60}", remedy=f"it is {want}")
     if array and type_ is Type.Double and values and all(isinstance(one, int) for one in values):
         # Places in whole metres, forces in whole newtons.
         raise BenchFault(f"gives {name} as whole numbers", remedy="it is Double[]")
     if type_ is Type.String:
-        values = [one[:LONGEST_TEXT] for one in values]
+        values = [one[:MAX_TEXT_LENGTH] for one in values]
         return values if array else values[0]
-    if not array:
-        return float(value) if type_ is Type.Double else value
-    return np.array(values, dtype=ARRAYS[type_])
+    if array:
+        return np.array(values, dtype=PYTHON_TYPES[type_][0])
+    return float(value) if type_ is Type.Double else value
 
 
 def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any]]:
-    """Return the fault of a method, no text or its parts, and what it gives where it has none."""
+    """Return the fault of a method, and what it gives if there is none."""
     fault = received("Fault", values[0] if values else None, [Type.String])
     given, declared = values[1:], METHODS[method][1]
     if fault:
@@ -123,7 +115,7 @@ def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any
 def mirror_of(
     values: dict[str, Any], methods: Collection[str]
 ) -> tuple[str, float, tuple[float | None, float | None], Layout]:
-    """Return instrument, gap [m], gradients and layout by the nodes that a server has."""
+    """Return instrument, gap [m], gradients and layout from the nodes of a server."""
     for name in (*dict(VARIABLES), *METHODS):
         if name not in OPTIONAL and name not in values and name not in methods:
             raise BenchFault(f"has no node Bench.{name}", remedy="add it, in urn:truenewton:bench")

@@ -1,9 +1,4 @@
-"""A bench behind an OPC UA server on the loopback.
-
-Nodes of the namespace urn:truenewton:bench: the object Bench with the variables Instrument, Gap,
-Gradients, Id, X, Y, Nz, Enabled and the methods PutOn, Command, Read, Status, Rest
-(docs/hardware.md).
-"""
+"""A bench behind an OPC UA server on the loopback (docs/hardware.md)."""
 
 from __future__ import annotations
 
@@ -23,14 +18,7 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.internal_server import InternalServer
 
 from truenewton.bench.opcua import keys
-from truenewton.bench.opcua.methods import (
-    MAX_MESSAGE,
-    METHODS,
-    VARIABLES,
-    Type,
-    scalar,
-    variants,
-)
+from truenewton.bench.opcua.methods import MAX_MESSAGE, METHODS, VARIABLES, Type, scalar, variants
 from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.load import Load
@@ -43,7 +31,7 @@ class ServedBench(Bench, Operator, Protocol):
 
 
 def check_port(port: int) -> None:
-    """Refuse a port that cannot be had, before anything is made for it."""
+    """Refuse a port that is taken, before anything is made for it."""
     with _port_faults(port):
         socket.create_server(("127.0.0.1", port)).close()
 
@@ -55,12 +43,12 @@ def _port_faults(port: int) -> Iterator[None]:
     except OSError as error:
         reason = os.strerror(error.errno or 0)
         raise BenchFault(
-            f"port {port} cannot be had ({reason})", remedy="choose another port", got=port
+            f"port {port} cannot be had ({reason})", remedy="choose another port"
         ) from error
 
 
 class _KnownClients:
-    """Admits the holder of a trusted certificate (DER) who also has user and password."""
+    """Admits a client with a trusted certificate (DER), user and password."""
 
     def __init__(self, trusted: frozenset[bytes], password: str) -> None:
         self._trusted, self._password = trusted, password.encode()
@@ -72,7 +60,7 @@ class _KnownClients:
         password: str | None = None,
         certificate: bytes | None = None,
     ) -> User | None:
-        """Return the user, or None; the certificate is that with which the channel was opened."""
+        """Return the user, or None; the certificate is that of the channel."""
         right = hmac.compare_digest((password or "").encode(), self._password)
         if right and username == keys.USER and certificate in self._trusted:
             return User(role=UserRole.User, name=username)
@@ -151,8 +139,8 @@ def _argument(name: str, kind: Any) -> ua.Argument:
 class _Methods:
     """The methods of the node, one at a time; each raises what the bench raises.
 
-    A server that was started anew does not know which load is on the mirror. It takes no shape
-    before `PutOn`, so that no row is taken under another load than its file says.
+    After a restart the server does not know which load is on the mirror. It takes no shape before
+    `PutOn`, so that no row is recorded under a wrong load.
     """
 
     def __init__(self, bench: ServedBench) -> None:
@@ -161,7 +149,7 @@ class _Methods:
         self._load: Load | None = None
 
     def guarded(self, name: str) -> Callable[..., list[ua.Variant]]:
-        """Return the method behind a name: its fault as values, then what it gives."""
+        """Return a method of the node: it gives its fault, then its values."""
         methods: dict[str, Callable[..., Any]] = {
             "PutOn": self._put_on,
             "Command": self._command,

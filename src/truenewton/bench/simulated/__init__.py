@@ -1,9 +1,7 @@
-"""The simulated bench, which keeps its truth to itself.
+"""The simulated bench, which does not show its truth.
 
-bench        the bench, as acquisition sees any other
-static       a mirror's truth and its campaigns, every shape held exactly or in a loop
-segmented    a bench for each segment of a mirror, moved together
-loop         the closed loop: sample to sample, its stability, means over a record
-electronics  sensors, control, coils and magnets of the actuators
-truth        what a simulation knows; written beside the campaign, for scoring only
+bench        the bench, with the methods of any other
+static       truth and campaigns of a mirror or its segments, held exactly or in a loop
+loop         electronics and closed loop, from sample to sample
+truth        the true values, written beside the campaign for scoring only
 """

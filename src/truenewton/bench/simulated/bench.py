@@ -1,4 +1,4 @@
-"""The simulated bench, with the methods of any other; the truth stays inside."""
+"""The simulated bench, with the methods of any other bench; the truth stays inside."""
 
 from __future__ import annotations
 
@@ -25,22 +25,21 @@ FIDELITIES = ("static", "loop")
 
 
 class SimulatedBench:
-    """A mirror with its electronics and someone who puts weights on it, in simulation.
+    """A simulated mirror with its electronics and weights.
 
     Parameters
     ----------
     mirror
-        What is known of the mirror.
+        The nominal mirror.
     seed
-        Decides everything random. The noise of a reading depends on it and on load, cycle, number
-        and sign of the shape only: readings can be taken again in any order.
+        Of all random numbers. The noise of a reading depends on seed, load, cycle, number and sign
+        of the shape only, so that readings can be repeated in any order.
     loads
         Those that can be put on, as declared; by default the bare mirror and its own tool.
     force_noise
-        Standard deviation of one commanded-force reading of 2,048 samples [N]; a closed loop has
-        its own.
+        Standard deviation of one commanded-force reading of 2,048 samples [N]; not for a loop.
     fidelity
-        'static', every shape is held exactly; 'loop', the loop runs sample by sample.
+        'static': every shape is held exactly. 'loop': closed loop, sample by sample.
 
     Raises
     ------
@@ -50,7 +49,7 @@ class SimulatedBench:
     Attributes
     ----------
     instrument, layout, gap, gradients
-        As of `Bench` and `Graded`.
+        As of `Bench` and `gradients_of`.
 
     Examples
     --------
@@ -71,10 +70,7 @@ class SimulatedBench:
     ) -> None:
         if fidelity not in FIDELITIES:
             raise UnknownName(
-                f"there is no fidelity '{fidelity}'",
-                remedy=f"choose {', '.join(FIDELITIES)}",
-                got=fidelity,
-                want=FIDELITIES,
+                f"there is no fidelity '{fidelity}'", remedy=f"choose {', '.join(FIDELITIES)}"
             )
         self._bench = static_bench(mirror, seed, loads=loads, force_noise=force_noise)
         self._loop = loop_of(self._bench) if fidelity == "loop" else None
@@ -85,19 +81,11 @@ class SimulatedBench:
         self.gradients = mirror.coil_gradient, mirror.bias_gradient
 
     def put_on(self, load: Load) -> None:
-        """Put a load on, or take it off for the bare mirror.
-
-        Raises
-        ------
-        UnknownName
-            The bench has no such load.
-        """
+        """Put a load on, or take it off for the bare mirror."""
         if load.key not in self._loads:
             raise UnknownName(
                 f"the simulated bench has no load '{load.name}'",
                 remedy=f"it has {', '.join(self._loads)}",
-                got=load.name,
-                want=tuple(self._loads),
             )
         self._load_index = self._loads.index(load.key)
         self._clock += PAUSE
@@ -138,7 +126,7 @@ class SimulatedBench:
         )
 
     def status(self) -> Status:
-        """Return how the bench is."""
+        """Return the state of the bench."""
         return Status(True, "at rest" if self._shape is None else "in shape", self._counter)
 
     def rest(self) -> None:
@@ -146,10 +134,5 @@ class SimulatedBench:
         self._shape = None
 
     def write_truth(self, campaign: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Seal the truth in a file beside a campaign's folder, for scoring only.
-
-        Raises
-        ------
-        OutputExists, OutputFailed
-        """
+        """Write the truth into a file beside a campaign's folder, for scoring only."""
         write_truth(self._bench.truth, truth_path(campaign), overwrite=overwrite)

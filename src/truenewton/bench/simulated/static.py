@@ -1,43 +1,40 @@
 """The simulated mirror in static equilibrium: every shape is held exactly, the readings are noisy.
 
-A shape z is held by the true forces f = K z + f_load, where f_load carries what else acts on the
-shell: the weight of the glass, spread evenly; magnets and bias magnets, each at its actuator; the
-weight tool on three wedges. The bias magnets change by BIASGRAD z, and the electronics record
-c = f / (alpha (1 + COILGRAD z)).
+A shape z is held by the true forces f = K z + f_load. f_load balances the weight of the glass,
+spread evenly, the magnets and bias magnets at the actuators, and the weight tool on three wedges.
+The bias magnets change by BIASGRAD z. The electronics record c = f / (alpha (1 + COILGRAD z)).
 """
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.bench.simulated.electronics import (
-    REFERENCE_TEMPERATURE,
-    SAMPLES,
-    Coils,
-    Control,
-    Sensors,
-    draw_sensors,
-    gain,
-)
 from truenewton.bench.simulated.loop import (
     LOOP_STREAM,
+    REFERENCE_TEMPERATURE,
+    SAMPLES,
     STATIC_STREAM,
+    Coils,
+    Control,
     Loop,
     Record,
-    check_stability,
+    Sensors,
+    draw_sensors,
     equilibrium,
+    gain,
     record,
     row_noise,
 )
-from truenewton.bench.simulated.truth import Truth
-from truenewton.errors import GeometryError, LimitExceeded
+from truenewton.bench.simulated.truth import SegmentTruth, Truth
+from truenewton.errors import BenchFault, GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.mirrors.shell.dynamics import film_damping, moving_mass
 from truenewton.mirrors.shell.shell_model import (
     ExternalForces,
@@ -49,7 +46,8 @@ from truenewton.mirrors.shell.shell_model import (
     weight_on,
 )
 from truenewton.quantities import taking_units
-from truenewton.records.cycle import Cycle
+from truenewton.records.cycle import Cycle, Segment, sums_of
+from truenewton.statics.arms import effective_weight, external_load
 from truenewton.statics.load import Load
 from truenewton.statics.modes import scaled_modes, stiffness_modes
 
@@ -59,37 +57,22 @@ PAUSE = datetime.timedelta(minutes=30)  # in which someone lifts the glass to pu
 CENTRING_ERROR = 0.3e-3  # of the tool, each axis [m, guess]
 BIAS_SCATTER = 0.05  # relative, of the bias magnets [guess]
 SENSOR_NOISE = 3e-9 / np.sqrt(SAMPLES)  # 3 nm a sample [paper]
+SEEDS_PER_MIRROR = 1000  # more segments would share their noise
 
 
 @dataclass(frozen=True, eq=False)
 class StaticBench:
-    """A mirror, its truth, and the plan of shapes that its limits allow.
-
-    Attributes
-    ----------
-    mirror, truth
-        What is known of it, and what is true.
-    glass, coils, sensors
-        What holds and reads it, as it truly is.
-    loads
-        The loads, as declared.
-    shapes
-        (shapes, n) readings along z [m]: stiffness modes, softest first.
-    load_force
-        (L, n) true forces that hold the flat mirror under each load [N].
-    force_noise
-        Standard deviation of one commanded-force reading [N].
-    """
+    """A mirror, its truth, and the shapes that its limits allow."""
 
     mirror: Mirror
     truth: Truth
     glass: ShellModel
     coils: Coils
     sensors: Sensors
-    loads: tuple[Load, ...]
-    shapes: Array
-    load_force: Array
-    force_noise: float
+    loads: tuple[Load, ...]  # as declared
+    shapes: Array  # (shapes, n) readings along z [m]: stiffness modes, softest first
+    load_force: Array  # (L, n) true forces that hold the flat mirror under each load [N]
+    force_noise: float  # standard deviation of one commanded-force reading [N]
 
 
 @taking_units(stroke="m", force_limit="N", force_noise="N", temperature="deg_C")
@@ -109,10 +92,10 @@ def static_bench(
     Parameters
     ----------
     mirror
-        What is known of the mirror.
+        The nominal mirror.
     seed
-        Decides everything random: alpha, the bias magnets, sensors, the true weights within their
-        errors, how the tool is centred, the noise.
+        Of alpha, bias magnets, sensors, the errors of the weights and of the centring of the tool,
+        and the noise.
     loads
         The loads as declared; by default without and with the mirror's own tool.
     stroke
@@ -124,12 +107,12 @@ def static_bench(
     temperature
         Of magnets and coils [deg C].
     glass
-        That of the mirror, where it is known already.
+        The shell model of the mirror, if there is one already.
 
     Raises
     ------
     GeometryError, LimitExceeded
-        A shell or actuators that cannot be; static forces that alone are too large.
+        A shell or actuators that are not valid; static forces that alone are too large.
 
     Examples
     --------
@@ -177,9 +160,9 @@ def static_bench(
 def _drawn_loads(
     mirror: Mirror, loads: Sequence[Load], weight: float, bias: Array, random: np.random.Generator
 ) -> tuple[Array, Array, list[ExternalForces]]:
-    """Return (L,) true Q [N] and tilt [deg], and what acts on the glass, the tool off its place.
+    """Return (L,) true Q [N] and tilt [deg], and the forces on the glass, the tool off centre.
 
-    One tool errs alike wherever it hangs.
+    One tool has the same error under all loads.
     """
     error = {load.tool or load.key: random.standard_normal() for load in loads}
     added = [load.added + load.added_error * error[load.tool or load.key] for load in loads]
@@ -196,8 +179,6 @@ def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:
         raise GeometryError(
             f"a stroke of {stroke:g} m closes the gap of {mirror.gap:g} m",
             remedy="take smaller shapes or a larger gap",
-            got=stroke,
-            want=mirror.gap,
         )
 
 
@@ -205,15 +186,13 @@ def _room_for_shapes(
     mirror: Mirror, alpha: Array, load_force: Array, noise: float, limit: float
 ) -> Array:
     """Return the (n,) true forces that loads and limit leave to shapes [N]."""
-    # What is recorded stays under the limit too, with room for its noise.
+    # The recorded force must stay under the limit too, with its noise.
     room = limit * np.minimum(alpha, 1.0) - 5 * noise - np.abs(load_force).max(axis=0)
     if (room <= 0).any():
         raise LimitExceeded(
             f"holding the mirror alone takes actuator {mirror.layout.id[room.argmin()]} beyond the"
             f" limit of {limit:g} N",
             remedy="take a lighter weight, less noise, or a higher limit",
-            got=float(np.abs(load_force).max()),
-            want=limit,
         )
     return np.asarray(room)
 
@@ -226,7 +205,7 @@ def loop_of(bench: StaticBench) -> Loop:
     to_forces = np.asarray(np.linalg.inv(pucks.T), dtype=float)
     softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(bench.mirror.layout.n)
     feed_forward = softer / bench.coils.alpha[:, None] * bench.sensors.gain
-    loop = Loop(
+    return Loop(
         softer,
         to_forces @ mass,
         to_forces @ film_damping(bench.glass, shapes),
@@ -234,15 +213,12 @@ def loop_of(bench: StaticBench) -> Loop:
         bench.sensors,
         Control(feed_forward),
     )
-    check_stability(loop)
-    return loop
 
 
 def rest_displacement(bench: StaticBench) -> Array:
-    """Return (L, n) the true displacement at which the loop holds the flat mirror under each load.
+    """Return (L, n) true displacements of the flat mirror in closed loop, under each load [m].
 
-    Along +z [m]. There a coil gives alpha (1 + COILGRAD z), and that is what a campaign in closed
-    loop can find; `Truth.alpha` is that at z = 0.
+    A campaign in closed loop finds alpha (1 + COILGRAD z) there; `Truth.alpha` is that at z = 0.
     """
     flat = np.zeros((bench.mirror.layout.n, len(bench.loads)))
     return equilibrium(loop_of(bench), flat, bench.load_force.T)[0].T
@@ -264,9 +240,9 @@ def take(
     labels: Iterable[tuple[str, int, int, int]],
     samples: int = SAMPLES,
 ) -> Record:
-    """Return what is read of (N, n) shapes [m] under a load: in a loop, or held exactly without.
+    """Return the readings of (N, n) shapes [m] under a load, held exactly if there is no loop.
 
-    The labels of each row, key of the load, cycle, shape and sign, decide its noise.
+    The noise of a row depends on its labels: key of the load, cycle, shape and sign.
     """
     stream = STATIC_STREAM if loop is None else LOOP_STREAM
     noise = [row_noise(bench.truth.seed, *label, stream) for label in labels]
@@ -289,8 +265,8 @@ def take(
 def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Iterator[Cycle]:
     """Yield the cycles of a campaign: every shape and its negative, under each load in turn.
 
-    In a loop, from `loop_of`, all shapes of a cycle go together, a row that has not settled is
-    marked as not valid, and the noise of the forces is left to be found from their repeats.
+    In a loop, rows that have not settled are marked as not valid, and the noise of the forces is
+    not recorded.
 
     Parameters
     ----------
@@ -299,7 +275,7 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
     cycles
         Of each load.
     loop
-        From `loop_of`; shapes are held exactly where None.
+        From `loop_of`; if None, shapes are held exactly.
 
     Raises
     ------
@@ -336,7 +312,137 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
 
 
 def rows_of_cycle(bench: StaticBench) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return SHAPE, SIGN (N,) and the (N, n) readings asked for [m]."""
+    """Return SHAPE, SIGN (N,) and the (N, n) commanded readings [m]."""
     count = len(bench.shapes)
     shape, sign = np.repeat(np.arange(1, count + 1), 2), np.tile([1, -1], count)
     return shape, sign, np.asarray(sign[:, None] * bench.shapes[shape - 1])
+
+
+# Segmented mirrors
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentedBench:
+    """A segmented mirror: a bench for each segment, which move together.
+
+    Nothing acts between segments. All take the shape of the same number at once.
+    """
+
+    mirror: SegmentedMirror
+    benches: tuple[StaticBench, ...]
+    seed: int  # segment k has that of `seed_of`
+
+    @property
+    def shapes(self) -> Array:
+        """(shapes, n) readings along z of all actuators [m]."""
+        return np.concatenate([bench.shapes for bench in self.benches], axis=1)
+
+
+def seed_of(seed: int, number: int) -> int:
+    """Return the seed of a segment of a mirror."""
+    return SEEDS_PER_MIRROR * seed + number
+
+
+def bench_of(
+    mirror: Mirror | SegmentedMirror, seed: int, *, force_noise: float, temperature: float
+) -> StaticBench | SegmentedBench:
+    """Return the static bench of a mirror in one piece or in segments, as `static_bench`.
+
+    All segments have as many shapes: one with fewer takes its first ones again.
+    """
+    if not isinstance(mirror, SegmentedMirror):
+        return static_bench(mirror, seed, force_noise=force_noise, temperature=temperature)
+    glasses: dict[int, ShellModel] = {}
+    for part, alike in mirror.kinds:
+        glasses |= dict.fromkeys(alike, model_shell(part))
+    benches = [
+        static_bench(
+            segment,
+            seed_of(seed, k),
+            force_noise=force_noise,
+            temperature=temperature,
+            glass=glasses[k],
+        )
+        for k, segment in enumerate(mirror.segments, 1)
+    ]
+    most = max(len(bench.shapes) for bench in benches)
+    filled = (
+        replace(bench, shapes=bench.shapes[np.arange(most) % len(bench.shapes)])
+        for bench in benches
+    )
+    return SegmentedBench(mirror, tuple(filled), seed)
+
+
+def campaign_on(
+    bench: StaticBench | SegmentedBench, cycles: int, fidelity: str = "static"
+) -> Iterator[Cycle]:
+    """Return the cycles of a campaign on a bench, as `run_cycles`; not in a loop if segmented."""
+    if isinstance(bench, StaticBench):
+        return run_cycles(bench, cycles, loop_of(bench) if fidelity == "loop" else None)
+    if fidelity == "loop":
+        raise BenchFault(
+            f"{bench.mirror.name} is in segments, whose loop is not simulated",
+            remedy="leave --fidelity out, or give the file of one segment",
+        )
+    first, *others = (run_cycles(one, cycles) for one in bench.benches)
+    # Only the first segment of the last cycle stays in memory while the next one is made.
+    return (_joined(bench.mirror, [part, *map(next, others)]) for part in first)
+
+
+def _joined(mirror: SegmentedMirror, parts: Sequence[Cycle]) -> Cycle:
+    """Join the cycles of all segments."""
+    segments = tuple(
+        Segment(k, part.weight, part.weight_error, part.load.added, part.load.added_error)
+        for k, part in enumerate(parts, 1)
+    )
+    sums, first = sums_of(segments), parts[0]
+    return replace(
+        first,
+        instrument=mirror.name,
+        load=replace(first.load, added=sums["added"], added_error=sums["added_error"]),
+        weight=sums["weight"],
+        weight_error=sums["weight_error"],
+        layout=mirror.layout,
+        force=np.concatenate([np.asarray(part.force) for part in parts], axis=1),
+        position=np.concatenate([np.asarray(part.position) for part in parts], axis=1),
+        segments=segments,
+    )
+
+
+def truth_of(bench: StaticBench | SegmentedBench) -> Truth:
+    """Return the true values of a bench."""
+    if isinstance(bench, StaticBench):
+        return bench.truth
+    truths = [one.truth for one in bench.benches]
+    widest = max(len(truth.alpha) for truth in truths)
+    padded = [np.pad(one.stiffness, ((0, 0), (0, widest - len(one.alpha)))) for one in truths]
+    places = [place.motion for place in bench.mirror.places]
+    torques = np.array([_torques_about_axis(*each) for each in zip(truths, places, strict=True)])
+    segments = [
+        SegmentTruth(k, load, truth.weight, float(added), truth.bias_force, *torque)
+        for k, (truth, of_loads) in enumerate(zip(truths, torques.tolist(), strict=True), 1)
+        for load, added, torque in zip(truth.loads, truth.added, of_loads, strict=True)
+    ]
+    return replace(
+        truths[0],
+        instrument=bench.mirror.name,
+        layout=bench.mirror.layout,
+        alpha=np.concatenate([truth.alpha for truth in truths]),
+        stiffness=np.concatenate(padded),
+        sensor_gain=np.concatenate([truth.sensor_gain for truth in truths]),
+        weight=sum(truth.weight for truth in truths),
+        added=np.sum([truth.added for truth in truths], axis=0),
+        bias_force=sum(truth.bias_force for truth in truths),
+        torque_y=torques[..., 0].sum(axis=0),
+        torque_x=torques[..., 1].sum(axis=0),
+        seed=bench.seed,
+        segments=tuple(segments),
+    )
+
+
+def _torques_about_axis(truth: Truth, motion: Array) -> Array:
+    """Return (L, 2) M_y and M_x under each load about the origin of the mirror [N m]."""
+    weight = effective_weight(truth.weight, truth.added, truth.tilt)
+    load = external_load(weight, truth.bias_force, truth.torque_y, truth.torque_x)
+    _, along_x, along_y = motion @ load.T
+    return np.stack([along_x, -along_y], axis=1)

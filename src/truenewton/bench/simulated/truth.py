@@ -1,4 +1,4 @@
-"""What a simulation knows and keeps to itself; written beside the campaign, for scoring only."""
+"""The true values of a simulation, written beside the campaign for scoring only."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ class Truth:
     torque_y, torque_x
         (L,) M_y and M_x [N m].
     seed
-        What everything random came from.
+        Of all random numbers.
     segments
-        Of each segment under each load; none of a mirror in one piece.
+        True values of each segment under each load; none for a mirror in one piece.
 
     Examples
     --------
     >>> error = calibration.alpha / truth.alpha
-    >>> f"{np.std(error) / np.mean(error):.1%}"  # a factor common to all aside
+    >>> f"{np.std(error) / np.mean(error):.1%}"  # without a common factor
     '0.0%'
     """
 
@@ -119,7 +119,7 @@ TRUTH = FileFormat(
 
 
 def truth_path(folder: str | os.PathLike[str]) -> Path:
-    """Return where the truth of a campaign's folder is kept: DIR.truth.fits."""
+    """Return the path of the truth of a campaign's folder: DIR.truth.fits."""
     folder = Path(folder)
     return folder.with_name(folder.name + ".truth.fits")
 

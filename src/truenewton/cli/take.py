@@ -1,0 +1,368 @@
+"""Take data: `plan`, `acquire` and `import`."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from truenewton.cli import options
+from truenewton.cli.terminal import Bar, busy, print_result, say
+from truenewton.errors import BenchFault, OutputExists
+from truenewton.files.outputs import file_beside, refuse_existing
+
+if TYPE_CHECKING:
+    from truenewton.acquisition.taker import Progress
+    from truenewton.calibration.result import Calibration
+    from truenewton.importers.importing import Imported
+    from truenewton.statics.load import Load
+
+MAX_FILES_NAMED = 5  # in one line
+MAX_SIZE_RATIO = 1.1  # of a known mirror that is suggested to the actuators of a matrix
+
+
+def run_plan(
+    path: Path | None = typer.Argument(None, metavar="FILE", help="The plan (TOML)."),
+    new: bool = typer.Option(False, "--new", help="Print a commented plan to start from."),
+    output: Path | None = options.output("With --new: write the plan to this file instead."),
+    target: float | None = typer.Option(
+        None, help="Wanted typical relative error of alpha: 0.005 for 0.5 %."
+    ),
+    plot: Path | None = typer.Option(
+        None, "--plot", help="Draw error against cycles and added weight (PNG, PDF or SVG)."
+    ),
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Predict errors, time, forces and gap of a campaign, and what to change for a wanted error."""
+    if new == (path is not None):
+        raise typer.BadParameter("give a plan, or --new for one to start from")
+    if target is not None and not 0 < target < 1:
+        raise typer.BadParameter("--target is relative, such as 0.005 for 0.5 %")
+    if path is None:
+        if target is not None or plot or json:
+            raise typer.BadParameter("--new takes none of --target, --plot, --json")
+        _new_plan(output, overwrite)
+        return
+    if output is not None:
+        raise typer.BadParameter("-o goes with --new; --plot FILE writes the figure")
+    from truenewton.planning.plan_prediction import predict_plan, suggest_changes
+    from truenewton.planning.summary import change_lines, lines, values
+
+    refuse_existing(plot, overwrite=overwrite)
+    with busy("planning"):
+        outcome = predict_plan(path)
+        missed = target is not None and outcome.prediction.typical > target
+        changes = suggest_changes(outcome.ready, target) if target is not None and missed else ()
+    if plot is not None:
+        from truenewton.figures.writing import write_figure  # matplotlib takes half a second
+        from truenewton.planning.figures import plot_plan
+
+        write_figure(plot_plan(outcome, target), plot, overwrite=overwrite)
+    shown = (*lines(outcome), *change_lines(target, changes))
+    drawn = () if plot is None else (plot,)
+    as_values = values(outcome, target, changes) if json else None
+    print_result(shown, *drawn, values=as_values, schema="plan", quiet=quiet)
+
+
+def _new_plan(output: Path | None, overwrite: bool) -> None:
+    from truenewton.acquisition.plan import template
+
+    if output is None:
+        say(*template().splitlines())
+        return
+    with file_beside(output, overwrite=overwrite) as temporary:
+        temporary.write_text(template(), encoding="utf-8")
+    say(f"written: {output}")
+
+
+def run_acquire(
+    plan: Path = typer.Argument(..., metavar="PLAN", help="The plan of the campaign (TOML)."),
+    output: Path = options.output("Folder for the cycle files.", ...),
+    segment: int | None = options.SEGMENT,
+    yes: bool = typer.Option(
+        False,
+        "--yes",
+        help="Do not prompt: assume that each load is in place (forces are still checked).",
+    ),
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
+    from truenewton.acquisition.acquire import acquire, chosen_bench, simulated_bench
+    from truenewton.acquisition.folder import invalid_rows, is_complete, refuse_other_plan
+    from truenewton.acquisition.plan import read_plan
+    from truenewton.bench.protocol import Operator
+    from truenewton.bench.simulated.truth import truth_path
+    from truenewton.rounding import counted, listed
+
+    wanted, beside = read_plan(plan), plan.parent
+    wanted = wanted if segment is None else replace(wanted, segment=segment)
+    simulated, complete = wanted.bench.kind == "simulated", is_complete(output, wanted)
+    if simulated and not output.exists() and truth_path(output).exists():
+        raise OutputExists(
+            "exists already, without its campaign",
+            remedy="remove it, or choose another name",
+            path=truth_path(output),
+        )
+    if complete:
+        refuse_other_plan(output, wanted, beside)
+    else:
+        terminal = Terminal(yes, apart=json or quiet)
+        with busy("connecting"):
+            bench = chosen_bench(wanted, beside)
+        try:
+            operator = None if isinstance(bench, Operator) else terminal
+            acquire(bench, wanted, output, beside=beside, operator=operator, onlooker=terminal)
+        finally:
+            terminal.bar.stop()
+            if hasattr(bench, "close"):
+                bench.close()
+    if simulated:
+        simulated_bench(wanted, beside).write_truth(output, overwrite=True)
+    with busy("checking the files"):
+        rows = invalid_rows(output, wanted)
+    invalid = {name: number for name, (number, _) in rows.items() if number}
+    not_valid = ""
+    if invalid:
+        files = listed([f"{name} {number}" for name, number in invalid.items()], MAX_FILES_NAMED)
+        not_valid = (
+            f", but {sum(invalid.values())} of {sum(every for _, every in rows.values())} rows are"
+            f" not valid ({files}); to take a cycle again remove its file and give the same command"
+        )
+        if quiet:
+            say(f"{output}: complete{not_valid}", stream=sys.stderr)
+    values = {
+        "folder": str(output),
+        "before": complete,
+        "loads": [load.name for load in wanted.loads],
+        "cycles": wanted.cycles,
+        "invalid": invalid,
+    }
+    loads, cycles = counted(wanted.loads, "load"), counted(wanted.cycles, "cycle")
+    line = f"{output}: complete{' already' if complete else ''}, {loads} x {cycles}{not_valid}"
+    written, as_values = (output,) if quiet else (), values if json else None
+    print_result([line], *written, values=as_values, schema="acquire", quiet=quiet)
+
+
+class Terminal:
+    """Shows the progress of a campaign, and asks the person at the terminal to put the loads on.
+
+    With ``yes`` it assumes that each load is on. With ``apart``, lines go to standard error,
+    because standard output is for a script.
+    """
+
+    def __init__(self, yes: bool, *, apart: bool = False) -> None:
+        self._yes = yes
+        self._stream = sys.stderr if apart else sys.stdout
+        self.bar = Bar()
+
+    def put_on(self, load: Load) -> None:
+        """Ask for a load, and wait for Enter; BenchFault if nobody can be asked."""
+        self.bar.stop()
+        if load.added:
+            what = f"put '{load.name}' on the mirror ({-load.added:g} N)"
+        else:
+            what = f"take every weight off the mirror ('{load.name}')"
+        if load.tilt:
+            what += f", tilted by {load.tilt:g} deg"
+        if self._yes:
+            self.say(f"{what}: assumed to be done (--yes)")
+        elif sys.stdin is None or not sys.stdin.isatty():
+            raise BenchFault(
+                f"somebody must {what}", remedy="run it at a terminal, or give --yes if it is on"
+            )
+        else:
+            question = f"{what[0].upper()}{what[1:]}, then press Enter: "
+            say(question, stream=self._stream, end="")
+            input()
+
+    def progress(self, now: Progress) -> None:
+        """Draw the bar: which shape was taken, and the extremes so far."""
+        shape, sign = now.shape, "+" if now.shape.sign > 0 else "-"
+        invalid = f", {now.invalid} not valid" if now.invalid else ""
+        self.bar.show(
+            f"{shape.load.name} cycle {shape.cycle}/{now.cycles}"
+            f" shape {shape.number}/{now.shapes} {sign}, largest force {now.largest_force:.3f} N,"
+            f" smallest gap {1e6 * now.smallest_gap:.1f} um{invalid}",
+            now.done / now.total,
+        )
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        self.bar.say(line, self._stream)
+
+
+def run_import(
+    matrix: Path | None = typer.Argument(
+        None,
+        metavar="MATRIX",
+        help="FITS, .npy, CSV or text, Excel, HDF5, .mat, .sav; a folder; or the description of a"
+        " campaign (TOML).",
+    ),
+    coordinates: Path | None = typer.Argument(
+        None,
+        metavar="POSITIONS",
+        help="Such a file of positions, or the folder of a supervisor's configuration.",
+    ),
+    output: Path | None = options.output("Stiffness file (FITS), or folder of a campaign."),
+    example: bool = typer.Option(
+        False, "--example", help="Print the description of a campaign, with comments."
+    ),
+    unit: str | None = typer.Option(None, help="Of the matrix, as N/um; 'unknown' for steps."),
+    lengths: str | None = typer.Option(None, help="Unit of positions, as mm."),
+    curvature: float | None = typer.Option(
+        None, help="Radius of curvature [m]: actuators push along the normals."
+    ),
+    arc: bool = typer.Option(False, "--arc", help="Radii are measured along the surface."),
+    mirror: str | None = typer.Option(
+        None, help="Take the positions of this mirror: a name or a TOML file."
+    ),
+    ids: str | None = typer.Option(None, help="Names of the rows, as 17,18,... or a file of them."),
+    exclude: str | None = options.EXCLUDE,
+    dataset: str | None = typer.Option(None, help="Name of the matrix in a file of several."),
+    shell: int | None = typer.Option(None, help="Which of several shells, from 1."),
+    transpose: bool = typer.Option(False, "--transpose", help="The matrix is stored transposed."),
+    date: datetime.datetime | None = typer.Option(None, help="When it was measured (UTC)."),
+    instrument: str | None = typer.Option(None, help="Name of the mirror."),
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Make a stiffness file, or the cycle files of a campaign, from files of other software."""
+    if example:
+        from truenewton.importers.campaign import example as description
+
+        say(*description().splitlines())
+        return
+    if matrix is None:
+        raise typer.BadParameter("give a matrix, the description of a campaign, or --example")
+    if matrix.suffix.lower() == ".toml":
+        _import_campaign(matrix, output, overwrite=overwrite, json=json, quiet=quiet)
+        return
+    from truenewton.importers.importing import stiffness_from
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.records.file import SUFFIXES, write_stiffness
+
+    options.require_suffix(output, SUFFIXES, "stiffness file")
+    refuse_existing(output, overwrite=overwrite)
+    by_file = ids is not None and Path(ids).is_file()
+    with busy("importing"), _suggesting_mirror():
+        made = stiffness_from(
+            matrix,
+            coordinates,
+            unit=unit,
+            lengths=lengths,
+            curvature=curvature,
+            arc=arc,
+            mirror=None if mirror is None else mirror_from(mirror),
+            ids=ids if ids is None or by_file else options.ids(ids, "--ids"),
+            exclude=options.ids(exclude, "--exclude"),
+            dataset=dataset,
+            shell=shell,
+            transpose=transpose,
+            date=date,
+            instrument=instrument,
+        )
+        if output is not None:
+            write_stiffness(made.matrix, output, overwrite=overwrite)
+    _print_matrix(made, output, transpose=transpose, json=json, quiet=quiet)
+
+
+@contextlib.contextmanager
+def _suggesting_mirror() -> Iterator[None]:
+    """Add the known mirror that has about as many actuators to the error of missing positions."""
+    from truenewton.importers.inputs import NoPositions
+    from truenewton.mirrors.known import KNOWN
+
+    try:
+        yield
+    except NoPositions as error:
+        sizes = {make().layout.n: name for name, make in KNOWN.items()}
+        n = min((n for n in sizes if error.got <= n <= MAX_SIZE_RATIO * error.got), default=0)
+        if not n:
+            raise
+        remedy = f"{error.remedy}; --mirror {sizes[n]} has {n} actuators"
+        raise error.changed(remedy=remedy) from None
+
+
+def _print_matrix(
+    made: Imported, output: Path | None, *, transpose: bool, json: bool, quiet: bool
+) -> None:
+    """Print what was found of a matrix, a first answer unless quiet, and the next command."""
+    from truenewton.calibration.summary import summary_values
+    from truenewton.estimation.findings.code import Level
+
+    if quiet and not json:
+        print_result((), output, quiet=True)
+        return
+    answer, calibration = _first_answer(made)
+    lines = [*made.lines, *(f"  {what:<13}{how}" for what, how in answer)]
+    if made.transposed:
+        how = "without" if transpose else "with"
+        lines.append(f"  next         the same command {how} --transpose")
+    elif not made.balanced and (calibration is None or calibration.verdict.level <= Level.REJECTED):
+        lines.append("  next         correct what is named above, then import again")
+    elif not made.balanced and output is not None:
+        lines.append(f"  next         truenewton calibrate {output} -o alpha.fits")
+    values = {
+        "instrument": made.matrix.instrument,
+        "actuators": made.matrix.layout.n,
+        "found": {line[:15].strip(): line[15:] for line in made.lines[1:]},
+        "calibration": None if calibration is None else summary_values(calibration),
+    }
+    print_result(lines, output, values=values if json else None, schema="import", quiet=quiet)
+
+
+def _import_campaign(
+    path: Path, output: Path | None, *, overwrite: bool, json: bool, quiet: bool
+) -> None:
+    """Write the cycle files of the campaign that a TOML file describes."""
+    from truenewton.importers.campaign import campaign_from
+    from truenewton.records.file import write_campaign
+
+    refuse_existing(output, overwrite=overwrite)
+    with busy("importing"):
+        campaign, lines = campaign_from(path)
+        if output is not None:
+            write_campaign(campaign, output, overwrite=overwrite)
+    next_line = () if output is None else (f"  next: truenewton calibrate {output} -o alpha.fits",)
+    values = {"instrument": campaign.instrument, "actuators": campaign.layout.n}
+    values |= {"found": {"cycles": lines[1:]}, "calibration": None}
+    as_values = values if json else None
+    print_result((*lines, *next_line), output, values=as_values, schema="import", quiet=quiet)
+
+
+def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | None]:
+    """Return lines on what `ml` finds from the matrix or why it finds nothing, and the result.
+
+    `calibrate` tries reciprocity too, which takes several times as long.
+    """
+    from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.summary import summary_rows, warning_lines
+    from truenewton.errors import TrueNewtonError
+
+    if made.transposed:
+        return [("alpha", "none: the matrix looks transposed")], None
+    if made.balanced:
+        return [("alpha", "none: the matrix is balanced as commanded")], None
+    try:
+        with busy("calibrating"):
+            found = calibrate(made.matrix, "ml")
+    except TrueNewtonError as error:
+        return [("alpha", f"none: {error.fault}; {error.remedy}".rstrip("; "))], None
+    rows = summary_rows(found)
+    lines = [
+        (what, f"{value}, {note}")
+        for what, (_, value, note) in zip(("alpha", "error", "scale"), rows, strict=False)
+    ]
+    lines.append(("method", "ml; calibrate tries reciprocity too, which takes longer"))
+    lines.append(("verdict", str(found.verdict.level)))
+    return [*lines, *(("", line.strip()) for line in warning_lines(found.verdict.faults))], found

@@ -1,0 +1,199 @@
+"""Show and use a calibration: `report`, `figures`, `modes` and `export`."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from truenewton.cli import options
+from truenewton.cli.terminal import about, busy, print_result, schema_of
+from truenewton.files.outputs import atomic_outputs, refuse_existing
+
+if TYPE_CHECKING:
+    from truenewton.report.verdict import Reported
+
+
+def run_report(
+    paths: list[Path] = options.paths(
+        "Cycle files or their folder, a stiffness file, a calibration, or two to compare."
+    ),
+    output: Path = options.output("Page to write (HTML).", ...),
+    method: str | None = options.METHOD,
+    calibration: Path | None = typer.Option(
+        None, help="Calibration of these data, which are then not fitted again."
+    ),
+    population: bool = options.POPULATION,
+    mirror: str | None = options.MIRROR_MODEL,
+    segment: int | None = options.SEGMENT,
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Write verdict, map, residuals and inputs on one page, or the change between two files."""
+    from truenewton.reading import read_alpha, read_calibrations, read_chosen
+    from truenewton.report.change import change
+    from truenewton.report.findings import investigate
+    from truenewton.report.page.page import write_report
+    from truenewton.report.verdict import headline_of
+
+    options.require_suffix(output, (".html", ".htm"), "page")
+    refuse_existing(output, overwrite=overwrite)
+    findings: Reported
+    with busy("investigating"), about(paths):
+        pair = read_calibrations(*paths, segment=segment) if len(paths) == 2 else ()
+        if pair:
+            edges = options.edges_of(mirror, pair[0].layout)
+            findings = change(*pair)
+        else:
+            data = read_chosen(*paths, segment=segment)
+            edges = options.edges_of(mirror, data.layout)
+            motion = options.motion_of(mirror, data)
+            made = None if calibration is None else read_alpha(calibration, segment=segment)
+            findings = investigate(
+                data, method, calibration=made, population=population, motion=motion
+            )
+    words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
+    words += ["--method", method] if method else []
+    words += ["--calibration", str(calibration)] if calibration else []
+    words += ["--population"] if population else []
+    words += [] if segment is None else ["--segment", str(segment)]
+    words += ["--mirror", mirror] if mirror else []
+    command = shlex.join(words)
+    with busy("writing the report"):
+        write_report(output, findings, command=command, edges=edges, overwrite=overwrite)
+    lines = list(headline_of(findings).lines())
+    values = {"verdict": lines[0], "lines": lines[1:], "written": str(output)}
+    print_result(lines, output, values=values if json else None, schema="report", quiet=quiet)
+
+
+def run_figures(
+    paths: list[Path] = options.PATHS,
+    output: Path = options.output("Folder for the figures.", ...),
+    numbers: bool = typer.Option(False, "--numbers", help="Write alpha into the map of fig. 6."),
+    segment: int | None = options.SEGMENT,
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Draw the figures of the paper and of the report, as PDF and PNG."""
+    from truenewton.calibration.figures import write_figures
+    from truenewton.reading import read_chosen
+    from truenewton.report.figures import still_figures
+    from truenewton.report.findings import investigate, require_calibration
+
+    refuse_existing(output, overwrite=overwrite)
+    with busy("drawing"), about(paths):
+        data = read_chosen(*paths, segment=segment)
+        findings = investigate(data)
+        made, more = require_calibration(findings), still_figures(findings)
+        written = write_figures(made, output, more=more, numbers=numbers, overwrite=overwrite)
+    verdict = str(made.verdict)
+    values = {"verdict": verdict, "written": [str(path) for path in written]}
+    as_values = values if json else None
+    print_result([f"verdict: {verdict}"], *written, values=as_values, schema="figures", quiet=quiet)
+
+
+def run_modes(
+    paths: list[Path] = options.paths(
+        "Cycle files with POSITION or their folder, a stiffness file."
+    ),
+    calibration: Path | None = typer.Option(
+        None, help="Calibration file; by default the data themselves are calibrated."
+    ),
+    seeing: float = typer.Option(0.8, help="At 500 nm [arcsec]."),
+    outer_scale: float = typer.Option(40.0, help="Of the turbulence [m]; inf for Kolmogorov's."),
+    diameter: float | None = typer.Option(
+        None, help="Of the telescope's pupil [m]; by default magnified as at LBT."
+    ),
+    radius: float | None = typer.Option(
+        None,
+        help="Of the mirror that fills the pupil [m]; by default half a spacing beyond the"
+        " last actuator.",
+    ),
+    power: float = typer.Option(math.inf, help="Largest power dissipated by one coil [W]."),
+    total_power: float = typer.Option(math.inf, help="Largest power dissipated by all coils [W]."),
+    force: float = typer.Option(
+        math.inf, help="Largest true force: static and three sigma of turbulence [N]."
+    ),
+    efficiency: float = typer.Option(
+        0.51, help="Commanded force per root of power [N/W^1/2]; by default LBT's."
+    ),
+    off: str = typer.Option("", help="IDs of actuators that will be off, as 17,18: they float."),
+    slaved: str = typer.Option("", help="IDs not commanded: they follow with the least force."),
+    mirror: str | None = options.MIRROR_MODEL,
+    output: Path | None = options.output("Modal base to write; matrices are written beside it."),
+    figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
+    segment: int | None = options.SEGMENT,
+    anyway: bool = options.ANYWAY,
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Find stiffness modes, and how many can be corrected within a power or a force."""
+    from truenewton.calibration.verdict import usable
+    from truenewton.figures.writing import write_drawn
+    from truenewton.modal.figures import modes_figures
+    from truenewton.modal.file import modes_paths, write_modes
+    from truenewton.modal.findings import find_modes
+    from truenewton.modal.modal_base import Budget
+    from truenewton.modal.summary import lines, values
+    from truenewton.modal.turbulence import Atmosphere
+    from truenewton.reading import read_alpha, read_data
+    from truenewton.records.file import SUFFIXES
+
+    options.require_suffix(output, SUFFIXES, "modal base")
+    atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
+    refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
+    with busy("reading"):
+        data = read_data(*paths, segment=segment)
+    if output is not None:
+        for number in data.layout.segments:
+            refuse_existing(*modes_paths(output, number), overwrite=overwrite)
+    floating, follows = options.ids(off, "--off"), options.ids(slaved, "--slaved")
+    written: list[Path] = []
+    with busy("finding modes"), about(paths):
+        motion = options.motion_of(mirror, data)
+        alpha = None
+        if calibration is not None:
+            alpha = read_alpha(calibration, segment=segment)
+            alpha = usable(alpha, accept_rejected=anyway, path=calibration)
+        found = find_modes(
+            data, alpha, atmosphere, diameter=diameter, radius=radius, efficiency=efficiency,
+            motion=motion, off=floating, slaved=follows, accept_rejected=anyway,
+        )  # fmt: skip
+        shown, as_values = lines(found, limits), values(found, limits) if json else None
+        with atomic_outputs():
+            if output is not None:
+                written += write_modes(found, output, limits, overwrite=overwrite)
+            if figures is not None:
+                drawn = modes_figures(found, limits)
+                written += write_drawn(drawn, figures, overwrite=overwrite)
+    nothing = () if output or figures else (None,)
+    schema = schema_of("modes", found)
+    print_result(shown, *written, *nothing, values=as_values, schema=schema, quiet=quiet)
+
+
+def run_export(
+    folder: Path = typer.Argument(
+        ..., metavar="FOLDER", help="A supervisor's: ff_matrix.fits, ff_list.fits."
+    ),
+    calibration: Path = typer.Option(..., help="Calibration file; its IDs are the channels."),
+    output: Path = options.output("Folder to write the five files to.", ...),
+    segment: int | None = options.SEGMENT,
+    anyway: bool = options.ANYWAY,
+    overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Write a supervisor's feed-forward files again, with forces in true Newtons."""
+    from truenewton.importers.supervisor import export_supervisor
+    from truenewton.reading import read_calibration
+
+    refuse_existing(output, overwrite=overwrite)
+    with busy("exporting"):
+        one = read_calibration(calibration, segment=segment)
+        lines = export_supervisor(folder, one, output, overwrite=overwrite, accept_rejected=anyway)
+    print_result(lines, output, quiet=quiet)
