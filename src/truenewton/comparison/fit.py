@@ -1,0 +1,370 @@
+"""Factors of rows and columns between two stiffness matrices of one mirror, with their errors.
+
+    K_1 = T + E_1,    K_2 = diag(1/r) T diag(1/q) + E_2,    f_ij = 1 / (r_i q_j)
+
+r = alpha_2 / alpha_1, and q is the same ratio of sensor gains. The true stiffness T (n^2 unknowns)
+is eliminated. With a = -log r, b = -log q and
+
+    u = K_2 / f - K_1,    t = (K_1 + K_2 / f) / 2,    v = variance of u
+
+the score is the sum of u t / v over a row (a) or a column (b), and with W = t^2 / v the information
+is [[diag(W 1), W], [W', diag(1'W)]]. Its null vector is (1, -1): r is determined up to a factor and
+q up to its inverse. The mean t of both matrices makes the score unbiased for equal noise.
+
+The variance v is one of two laws, whichever is more likely:
+
+- elements: v_ij = rho_i gamma_j s_ij (A + B t_ij^2), with s_ij from condensation;
+- modes: u V has independent columns, v_ik = rho_i lambda_k, V the right singular vectors of K_1, as
+  in a matrix that was measured mode by mode.
+
+The logarithms of rho, gamma and lambda are shrunk towards their mean (empirical Bayes), because a
+row of 45 elements alone would determine its variance only to 20 %.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+from numpy.typing import NDArray
+
+from truenewton import linalg
+from truenewton.arrays import Array
+from truenewton.chance import FALSE_ALARM, normal_isf
+
+MAX_STEPS = 30
+STEP_TOLERANCE = 1e-3  # of its error, below which a step ends the iteration
+LAW_STEPS = 6  # in which the variances follow the residuals; then they are kept
+SCALE_PASSES = 5  # over rows and columns, each given the others; further ones change nothing
+MIN_RELATIVE_SIZE = 1e-9  # of a singular value: rigid motions may cost nothing
+MAX_LEVERAGE = 0.9  # of an element, in the correction of its residual
+# log of B t^2 / A for a typical element: from constant to proportional noise, and its step
+MIX_RANGE, MIX_STEP = (-10.0, 12.0), 2.0
+MIX_TOLERANCE = 0.05
+MAX_CHANGED_COUPLINGS = 0.01  # of all elements; with more, the noise law is wrong instead
+
+
+@dataclass(frozen=True, eq=False)
+class ElementNoise:
+    """Independent noise of the elements, of product form.
+
+    Attributes
+    ----------
+    inflation
+        (n, n) s, relative variance after condensation.
+    variance
+        (n, n) v of u [N^2/m^2].
+    leverage
+        (n, n) share of the variance of an element that the factors absorb.
+    log_mix
+        log of B t^2 / A for the median t^2.
+    """
+
+    inflation: Array
+    variance: Array
+    leverage: Array
+    log_mix: float = np.nan
+
+    @classmethod
+    def start(cls, one: Array, inflation: Array) -> ElementNoise:
+        """Return equal noise."""
+        return cls(inflation, inflation, np.zeros_like(one))
+
+    def refitted(self, u: Array, t: Array) -> ElementNoise:
+        """Return the likeliest law for residuals u."""
+        square = u**2 / (1.0 - np.minimum(self.leverage, MAX_LEVERAGE)) / self.inflation
+        power = t**2 / np.median(t**2)
+
+        def cost(log_mix: float) -> float:
+            v = product_variances(square, 1.0 + np.exp(log_mix) * power)
+            return float((square / v + np.log(v)).sum())
+
+        log_mix = self.log_mix
+        if not np.isfinite(log_mix):
+            log_mix = min(np.arange(*MIX_RANGE, MIX_STEP), key=cost)
+        log_mix = float(
+            scipy.optimize.minimize_scalar(
+                cost,
+                bounds=(log_mix - MIX_STEP, log_mix + MIX_STEP),
+                method="bounded",
+                options={"xatol": MIX_TOLERANCE},
+            ).x
+        )
+        v = product_variances(square, 1.0 + np.exp(log_mix) * power) * self.inflation
+        return ElementNoise(self.inflation, v, self.leverage, log_mix)
+
+    def equations(self, u: Array, t: Array) -> tuple[Array, Array]:
+        """Return the (2n,) score and the (2n, 2n) information of a and b."""
+        score, weight = u * t / self.variance, t**2 / self.variance
+        information = np.block(
+            [[np.diag(weight.sum(axis=1)), weight], [weight.T, np.diag(weight.sum(axis=0))]]
+        )
+        return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
+
+    def with_leverage(self, t: Array, covariance: Array) -> ElementNoise:
+        """Return the law with the leverage that factors of this covariance have."""
+        n = len(t)
+        own = np.diag(covariance)
+        shared = own[:n, None] + own[n:] + 2.0 * covariance[:n, n:]
+        return ElementNoise(
+            self.inflation, self.variance, t**2 / self.variance * shared, self.log_mix
+        )
+
+    def innovations(self, u: Array) -> tuple[Array, Array]:
+        """Return (n, n) by how much each element differs from the others' prediction, and error."""
+        return u, np.sqrt(self.variance * (1.0 - np.minimum(self.leverage, MAX_LEVERAGE)))
+
+    def whitened(self, u: Array) -> Array:
+        """Return (n, n) residuals of unit variance."""
+        return np.asarray(u / np.sqrt(self.variance))
+
+    def cost(self, u: Array) -> float:
+        """Return -2 log likelihood, but for a constant."""
+        return float((self.whitened(u) ** 2 + np.log(self.variance)).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class ModeNoise:
+    """Noise of a matrix that was measured mode by mode: independent columns of u V.
+
+    Attributes
+    ----------
+    modes, sizes
+        (n, n) V and (n,) singular values of K_1, [N/m].
+    rows
+        (n,) rho.
+    variances
+        (n,) lambda of each mode [N^2/m^2].
+    """
+
+    modes: Array
+    sizes: Array
+    rows: Array
+    variances: Array
+
+    @classmethod
+    def start(cls, one: Array, inflation: Array) -> ModeNoise:
+        """Return noise proportional to the singular values."""
+        del inflation
+        _, sizes, transposed = linalg.singular_values_and_vectors(one)
+        sizes = np.maximum(sizes, MIN_RELATIVE_SIZE * sizes[0])
+        return cls(transposed.T, sizes, np.ones(len(one)), sizes**2)
+
+    def refitted(self, u: Array, t: Array) -> ModeNoise:
+        """Return the likeliest law for residuals u."""
+        del t
+        n = len(u)
+        square = (u @ self.modes) ** 2 / (1.0 - 2.0 / n)  # of 2n factors, the leverage on average
+        rows, logs = np.ones(n), np.log(self.sizes)
+        for _ in range(SCALE_PASSES):
+            found = np.log((square / rows[:, None]).mean(axis=0))
+            line = np.polyval(np.polyfit(logs, found, 1), logs)
+            variances = np.exp(line + shrunk(found - line, 2.0 / n))
+            rows = np.exp(shrunk(np.log((square / variances).mean(axis=1)), 2.0 / n))
+        return ModeNoise(self.modes, self.sizes, rows, variances)
+
+    @property
+    def _inverse(self) -> Array:
+        """(n, n) inverse of the covariance of a row of u with rho = 1."""
+        return np.asarray((self.modes / self.variances) @ self.modes.T)
+
+    def equations(self, u: Array, t: Array) -> tuple[Array, Array]:
+        """Return the (2n,) score and the (2n, 2n) information of a and b."""
+        inverse, scaled = self._inverse, t / self.rows[:, None]
+        score, weight = scaled * (u @ inverse), scaled * (t @ inverse)
+        information = np.block(
+            [[np.diag(weight.sum(axis=1)), weight], [weight.T, (t.T @ scaled) * inverse]]
+        )
+        return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
+
+    def with_leverage(self, t: Array, covariance: Array) -> ModeNoise:
+        """Return the law itself: the leverage is taken as equal."""
+        del t, covariance
+        return self
+
+    def innovations(self, u: Array) -> tuple[Array, Array]:
+        """Return (n, n) by how much each element differs from the others' prediction, and error."""
+        inverse = self._inverse
+        own = np.diag(inverse)
+        return u @ inverse / own, np.sqrt(self.rows[:, None] / own)
+
+    def whitened(self, u: Array) -> Array:
+        """Return (n, n) residuals of unit variance."""
+        return np.asarray(u @ self.modes / np.sqrt(self.rows[:, None] * self.variances))
+
+    def cost(self, u: Array) -> float:
+        """Return -2 log likelihood, but for a constant."""
+        n = len(u)
+        logs = n * np.log(self.rows).sum() + n * np.log(self.variances).sum()
+        return float((self.whitened(u) ** 2).sum() + logs)
+
+
+Noise = ElementNoise | ModeNoise
+
+
+def shrunk(logs: Array, variance: float) -> Array:
+    """Return logarithms moved towards their mean by the share of noise in their variance."""
+    mean = logs.mean()
+    excess = max(0.0, float(logs.var()) - variance)
+    return np.asarray(mean + (logs - mean) * excess / (excess + variance))
+
+
+def product_variances(square: Array, shape: Array) -> Array:
+    """Return (n, n) rho_i gamma_j shape_ij for squares of residuals, rho and gamma shrunk."""
+    noise = 2.0 / len(square)  # variance of the logarithm of a mean of n squares
+    columns = np.ones(len(square))
+    for _ in range(SCALE_PASSES):
+        scaled = square / shape
+        rows = np.exp(shrunk(np.log((scaled / columns).mean(axis=1)), noise))
+        columns = np.exp(shrunk(np.log((scaled / rows[:, None]).mean(axis=0)), noise))
+    v = shape * rows[:, None] * columns
+    return np.asarray(v * (square / v).mean())
+
+
+@dataclass(frozen=True, eq=False)
+class PairFit:
+    """Factors between two matrices.
+
+    Attributes
+    ----------
+    a, b
+        (n,) -log |r| and -log |q|; only the sum of their means is determined.
+    signs
+        (2, n) sign of the factor of each row and each column.
+    covariance
+        (2n, 2n) of a and b.
+    noise
+        Its law.
+    residual
+        (n, n) u, changed couplings included [N/m].
+    couplings
+        (k, 2) row and column of the elements that changed by themselves.
+    coupling_sizes
+        (k,) by how much, relative to K_1 [N/m].
+    cost
+        -2 log likelihood.
+    size
+        rms element [N/m].
+    converged
+        Whether the last step was below the tolerance.
+    """
+
+    a: Array
+    b: Array
+    signs: Array
+    covariance: Array
+    noise: Noise
+    residual: Array
+    couplings: NDArray[np.int64]
+    coupling_sizes: Array
+    cost: float
+    size: float
+    converged: bool
+
+
+def fit_pair(one: Array, other: Array, inflation: Array) -> PairFit:
+    """Return the fit with the likelier of the noise laws.
+
+    Parameters
+    ----------
+    one, other
+        (n, n) K_1 and K_2 of the same actuators in the same order [N/m].
+    inflation
+        (n, n) s, variance of an element relative to that of a matrix that was not condensed.
+    """
+    fits = [fit_with(law.start(one, inflation), one, other) for law in (ElementNoise, ModeNoise)]
+    return min(fits, key=lambda fit: fit.cost)
+
+
+def fit_with(noise: Noise, one: Array, other: Array) -> PairFit:
+    """Return the fit with one noise law; couplings that changed by themselves do not count."""
+    fit = _iterated(noise, one, other, np.zeros((0, 2), dtype=np.int64))
+    while True:
+        sizes, errors = fit.noise.innovations(_unchanged(fit.noise, fit.residual, fit.couplings))
+        far = np.abs(sizes) > errors * normal_isf(FALSE_ALARM / 2 / one.size)
+        far[tuple(fit.couplings.T)] = False
+        couplings = np.concatenate([fit.couplings, np.argwhere(far)])
+        if not far.any() or len(couplings) > MAX_CHANGED_COUPLINGS * one.size:
+            return fit
+        fit = _iterated(noise, one, other, couplings)
+
+
+def _unchanged(noise: Noise, u: Array, couplings: NDArray[np.int64]) -> Array:
+    """Return residuals with what the others predict in place of changed couplings."""
+    if not len(couplings):
+        return u
+    u, at = u.copy(), tuple(couplings.T)
+    for _ in range(SCALE_PASSES):  # several in one row predict each other
+        u[at] -= noise.innovations(u)[0][at]
+    return u
+
+
+def rough_factors(one: Array, other: Array) -> tuple[Array, Array]:
+    """Return (2, n) logarithms and signs of the factors of rows and columns, by least squares."""
+    columns = np.ones(len(one))
+    for _ in range(3):
+        fitted = one * columns
+        rows = np.einsum("ij,ij->i", other, fitted) / np.einsum("ij,ij->i", fitted, fitted)
+        fitted = one * rows[:, None]
+        columns = np.einsum("ij,ij->j", other, fitted) / np.einsum("ij,ij->j", fitted, fitted)
+    factors = np.array([rows, columns])
+    signs = np.where(factors < 0.0, -1.0, 1.0)
+    return np.log(np.maximum(np.abs(factors), np.finfo(float).tiny)), signs
+
+
+def _iterated(noise: Noise, one: Array, other: Array, couplings: NDArray[np.int64]) -> PairFit:
+    """Return the fit by Newton's method; the law follows the residuals in the first steps."""
+    n = len(one)
+    (a, b), signs = rough_factors(one, other)
+    other = other * signs[0][:, None] * signs[1]
+    converged = False
+    for step in range(MAX_STEPS):
+        scaled = other / np.exp(a[:, None] + b)
+        residual, t = scaled - one, 0.5 * (one + scaled)
+        if step < LAW_STEPS:
+            noise = noise.refitted(_unchanged(noise, residual, couplings), t)
+        score, information = noise.equations(_unchanged(noise, residual, couplings), t)
+        covariance = _pseudo_inverse(information)
+        noise = noise.with_leverage(t, covariance)
+        if converged:
+            break
+        change = covariance @ score
+        a, b = a + change[:n], b + change[n:]
+        errors = np.sqrt(np.diag(covariance))
+        converged = step >= 2 and bool((np.abs(change) < STEP_TOLERANCE * errors).all())
+    unchanged, changed = _unchanged(noise, residual, couplings), tuple(couplings.T)
+    return PairFit(
+        a=a,
+        b=b,
+        signs=signs,
+        covariance=covariance,
+        noise=noise,
+        residual=residual,
+        couplings=couplings,
+        cost=noise.cost(unchanged),
+        coupling_sizes=(residual - unchanged)[changed],
+        size=float(np.sqrt((one**2).mean())),
+        converged=converged,
+    )
+
+
+def _pseudo_inverse(information: Array) -> Array:
+    """Return the (2n, 2n) inverse of the information on all but its null vector (1, -1)."""
+    n = len(information) // 2
+    scale = 1.0 / np.sqrt(np.diag(information))
+    scaled = information * scale * scale[:, None]
+    null = np.repeat([1.0, -1.0], n) / scale
+    null /= np.linalg.norm(null)
+    outer = np.outer(null, null)
+    covariance = (scipy.linalg.inv(scaled + outer) - outer) * scale * scale[:, None]
+    # The means of a and b are made equal.
+    gauge = np.repeat([1.0, -1.0], n) / np.sqrt(2 * n)
+    shift = covariance @ gauge
+    return np.asarray(
+        covariance
+        - np.outer(gauge, shift)
+        - np.outer(shift, gauge)
+        + (gauge @ shift) * np.outer(gauge, gauge)
+    )
