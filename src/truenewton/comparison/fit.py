@@ -23,7 +23,7 @@ row of 45 elements alone would determine its variance only to 20 %.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -137,12 +137,15 @@ class ModeNoise:
         (n,) rho.
     variances
         (n,) lambda of each mode [N^2/m^2].
+    leverage
+        (n, n) share of the variance of u V that the factors absorb.
     """
 
     modes: Array
     sizes: Array
     rows: Array
     variances: Array
+    leverage: Array
 
     @classmethod
     def start(cls, one: Array, inflation: Array) -> ModeNoise:
@@ -150,20 +153,20 @@ class ModeNoise:
         del inflation
         _, sizes, transposed = linalg.singular_values_and_vectors(one)
         sizes = np.maximum(sizes, MIN_RELATIVE_SIZE * sizes[0])
-        return cls(transposed.T, sizes, np.ones(len(one)), sizes**2)
+        return cls(transposed.T, sizes, np.ones(len(one)), sizes**2, np.zeros_like(one))
 
     def refitted(self, u: Array, t: Array) -> ModeNoise:
         """Return the likeliest law for residuals u."""
         del t
         n = len(u)
-        square = (u @ self.modes) ** 2 / (1.0 - 2.0 / n)  # of 2n factors, the leverage on average
+        square = (u @ self.modes) ** 2 / (1.0 - np.minimum(self.leverage, MAX_LEVERAGE))
         rows, logs = np.ones(n), np.log(self.sizes)
         for _ in range(SCALE_PASSES):
             found = np.log((square / rows[:, None]).mean(axis=0))
             line = np.polyval(np.polyfit(logs, found, 1), logs)
             variances = np.exp(line + shrunk(found - line, 2.0 / n))
             rows = np.exp(shrunk(np.log((square / variances).mean(axis=1)), 2.0 / n))
-        return ModeNoise(self.modes, self.sizes, rows, variances)
+        return replace(self, rows=rows, variances=variances)
 
     @property
     def _inverse(self) -> Array:
@@ -180,9 +183,24 @@ class ModeNoise:
         return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
 
     def with_leverage(self, t: Array, covariance: Array) -> ModeNoise:
-        """Return the law itself: the leverage is taken as equal."""
-        del t, covariance
-        return self
+        """Return the law with the leverage that factors of this covariance have.
+
+        The means over rows and over modes are exact; the elements follow as if of product form.
+        """
+        n = len(t)
+        a, ab, b = np.diag(covariance)[:n], covariance[:n, n:], covariance[n:, n:]
+        scaled, t_modes = t / self.rows[:, None], t @ self.modes
+        shared = 2.0 * (t * ab) @ self.modes
+        own = t_modes * (a[:, None] * t_modes + shared) / self.rows[:, None]
+        of_modes = own.sum(axis=0) + np.einsum(
+            "jk,jk->k", self.modes, (b * (t.T @ scaled)) @ self.modes
+        )
+        of_modes /= n * self.variances
+        of_rows = (own / self.variances).sum(axis=1) + np.einsum(
+            "ij,ij->i", scaled, t @ (b * self._inverse)
+        )
+        of_rows /= n
+        return replace(self, leverage=np.outer(of_rows, of_modes) / of_modes.mean())
 
     def innovations(self, u: Array) -> tuple[Array, Array]:
         """Return (n, n) by how much each element differs from the others' prediction, and error."""
@@ -237,8 +255,8 @@ class PairFit:
         (2n, 2n) of a and b.
     noise
         Its law.
-    residual
-        (n, n) u, changed couplings included [N/m].
+    residual, unchanged
+        (n, n) u, and u with what the others predict in place of changed couplings [N/m].
     couplings
         (k, 2) row and column of the elements that changed by themselves.
     coupling_sizes
@@ -257,6 +275,7 @@ class PairFit:
     covariance: Array
     noise: Noise
     residual: Array
+    unchanged: Array
     couplings: NDArray[np.int64]
     coupling_sizes: Array
     cost: float
@@ -282,7 +301,7 @@ def fit_with(noise: Noise, one: Array, other: Array) -> PairFit:
     """Return the fit with one noise law; couplings that changed by themselves do not count."""
     fit = _iterated(noise, one, other, np.zeros((0, 2), dtype=np.int64))
     while True:
-        sizes, errors = fit.noise.innovations(_unchanged(fit.noise, fit.residual, fit.couplings))
+        sizes, errors = fit.noise.innovations(fit.unchanged)
         far = np.abs(sizes) > errors * normal_isf(FALSE_ALARM / 2 / one.size)
         far[tuple(fit.couplings.T)] = False
         couplings = np.concatenate([fit.couplings, np.argwhere(far)])
@@ -342,6 +361,7 @@ def _iterated(noise: Noise, one: Array, other: Array, couplings: NDArray[np.int6
         covariance=covariance,
         noise=noise,
         residual=residual,
+        unchanged=unchanged,
         couplings=couplings,
         cost=noise.cost(unchanged),
         coupling_sizes=(residual - unchanged)[changed],

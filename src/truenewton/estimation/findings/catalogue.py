@@ -471,6 +471,18 @@ ENTRIES: dict[Code, Entry] = {
     Code.LAW_OF_REJECTED_DAY: _rejected(
         "it rests on {day}, whose calibration is rejected", "track the other days"
     ),
+    Code.PAIR_PATTERN: _fact(
+        Level.DOUBTFUL,
+        "what factors of actuators and sensors leave is not noise: its largest pattern is"
+        " {pattern:.2f} times as large as noise makes it",
+        "check whether rigid-body modes or stiff modes were removed from one matrix, and whether"
+        " the mirror, its gap or its temperature differed",
+    ),
+    Code.PAIR_NOT_CONVERGED: _fact(
+        Level.DOUBTFUL,
+        "the comparison did not converge",
+        "check that both matrices are complete and of one mirror",
+    ),
     Code.OF_SEGMENTS: _fact(None, "{segments:numbers segment}: {cause}{as_of}", "{advice}"),
     Code.NO_ALPHA: _fact(Level.NONE, "{fault}"),
     Code.OTHER: Entry("{}"),

@@ -160,6 +160,9 @@ class Code(StrEnum):
     EARLIER_FINDING = "earlier-finding"
     RECALIBRATION_LIMIT = "recalibration-limit"
     LAW_OF_REJECTED_DAY = "law-of-rejected-day"
+    # Two matrices compared.
+    PAIR_PATTERN = "pair-pattern"
+    PAIR_NOT_CONVERGED = "pair-not-converged"
     # Several segments; no alpha at all.
     OF_SEGMENTS = "of-segments"
     NO_ALPHA = "no-alpha"
