@@ -39,6 +39,8 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.figures import write_figures as write_figures
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
+    from truenewton.comparison.compare import Comparison as Comparison
+    from truenewton.comparison.compare import compare as compare
     from truenewton.estimation.findings.code import Code as Code
     from truenewton.estimation.findings.code import Level as Level
     from truenewton.estimation.findings.finding import Finding as Finding
@@ -106,6 +108,7 @@ _NAMES = {
     "calibration.figures": ["write_figures"],
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
+    "comparison.compare": ["Comparison", "compare"],
     "estimation.findings.code": ["Code", "Level"],
     "estimation.findings.finding": ["Finding", "Verdict"],
     "importers.supervisor": ["export_supervisor"],

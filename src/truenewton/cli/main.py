@@ -36,6 +36,7 @@ GROUPS = {  # of --help, each with its commands and an example of each
         "info": "truenewton info campaign/",
         "calibrate": "truenewton calibrate campaign/ -o alpha.fits",
         "recalibrate": "truenewton recalibrate after/ --known alpha.fits --actuators 17,18",
+        "compare": "truenewton compare stiffness-2025.fits stiffness-2026.fits",
         "track": "truenewton track monday/ tuesday.fits friday.fits --accuracy 0.005",
     },
     "Show": {

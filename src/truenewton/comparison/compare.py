@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+from astropy.table import QTable
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, t_isf
 from truenewton.comparison.fit import ElementNoise, PairFit, fit_pair, rough_factors
 from truenewton.comparison.pairing import Pair, pair_matrices, rough_residual
-from truenewton.errors import CampaignMismatch
+from truenewton.errors import CampaignMismatch, OutputFailed
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding, Verdict, judged
+from truenewton.estimation.matrix.facts import MatrixFacts
+from truenewton.estimation.matrix.order import balance_effects, orientation_effects
+from truenewton.figures.maps import plot_map
+from truenewton.figures.style import SIGNED_COLOURS, on_screen
+from truenewton.files.format import Column, TableFormat, quantities
+from truenewton.files.outputs import file_beside
+from truenewton.records.file import ID, X, Y
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout
 
 DERIVED_NOISE = 1e-6  # relative residual below which one matrix was computed from the other
@@ -28,6 +40,22 @@ MAX_PATTERN = (
 # one mirror the true factors are near 1, and alpha over sensor gain is not.
 TRANSPOSED_SPREAD_RATIO = 3.0
 MAX_NAMING_PASSES = 20
+
+
+CHANGES = TableFormat(
+    "CHANGE",
+    (
+        ID,
+        X,
+        Y,
+        Column("ALPHA", "alpha_ratio"),
+        Column("E_ALPHA", "alpha_ratio_error"),
+        Column("A_CHANGE", "alpha_changed", kind="bool"),
+        Column("GAIN", "sensor_ratio"),
+        Column("E_GAIN", "sensor_ratio_error"),
+        Column("G_CHANGE", "sensor_changed", kind="bool"),
+    ),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +117,36 @@ class Comparison:
     pattern: float
     pair: Pair
     findings: tuple[Finding, ...] = field(default=())
+
+    @property
+    def table(self) -> QTable:
+        """The changes of all actuators, with units."""
+        return quantities(self, CHANGES)
+
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the table of changes; the name ends in .csv or .ecsv, which contains units.
+
+        Raises
+        ------
+        OutputExists, OutputFailed
+        """
+        suffix = table_suffix(path)
+        with file_beside(path, overwrite=overwrite) as temporary:
+            self.table.write(temporary, format=f"ascii{suffix}")
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the change of alpha on the map of the actuators, and return the axes."""
+        change = 100.0 * (np.abs(self.alpha_ratio) - 1.0)
+        limit = float(np.percentile(np.abs(change), 98.0)) or 1.0
+        with on_screen():
+            return plot_map(
+                self.layout,
+                change,
+                ax,
+                label="change of alpha (%)",
+                colours=SIGNED_COLOURS,
+                limits=(-limit, limit),
+            )
 
     @property
     def verdict(self) -> Verdict:
@@ -158,6 +216,22 @@ def compare(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison:
     return comparison
 
 
+def table_suffix(path: str | os.PathLike[str]) -> str:
+    """Return whether a name ends in .csv or .ecsv.
+
+    Raises
+    ------
+    OutputFailed
+        It ends in neither.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".csv", ".ecsv"):
+        raise OutputFailed(
+            "is no name for a table", remedy="let it end in .csv or .ecsv (with units)", path=path
+        )
+    return suffix
+
+
 def _halves(fit: PairFit) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return a and b, each with its covariance."""
     n = len(fit.a)
@@ -193,6 +267,11 @@ def _changed(values: Array, signs: Array, covariance: Array) -> Population:
 
 def _refuse_processed(pair: Pair) -> None:
     """Raise CampaignMismatch if one matrix is not a measurement of the same kind as the other."""
+    for name, k in (("old", pair.old), ("new", pair.new)):
+        facts = MatrixFacts(k, comparable_arms(pair.layout))
+        for finding in (*balance_effects(facts), *orientation_effects(facts)):
+            if finding.code is not Code.TRANSPOSED_STIFFNESS:  # the comparison itself tells
+                raise CampaignMismatch(f"the {name} matrix: {finding.name}", remedy=finding.remedy)
     logs, signs = rough_factors(pair.old, pair.new)
     residual = rough_residual(pair.old, pair.new)
     crossed, _ = rough_factors(pair.old, pair.new.T)

@@ -1,0 +1,95 @@
+"""A comparison of two matrices as text for the terminal, and as values for scripts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from truenewton.calibration.summary import row, verdict_lines
+from truenewton.comparison.compare import CHANGES, Comparison
+from truenewton.files.format import attributes, columns_by_name
+from truenewton.rounding import counted, named, percent, with_error
+
+MAX_ROWS = 12  # of the table of actuators; the file contains all
+MAX_COUPLINGS = 5
+UNDETECTABLE = (
+    "a local change of the glass: a patch that becomes 1 % stiffer looks like 0.1 % of alpha",
+    "the separate means of alpha and of the sensor gains: only their product is determined",
+)
+
+
+def lines(c: Comparison) -> Iterator[str]:
+    """Yield what changed, the worst actuators, and whether the errors are valid."""
+    yield f"{c.instrument}: {counted(c.layout.n, 'actuator')} compared"
+    yield row("common factor", with_error(c.common, c.common_error), "alpha times sensor gain")
+    for name, changed, scatter, errors in (
+        ("alpha", c.alpha_changed, c.alpha_scatter, c.alpha_ratio_error),
+        ("sensor gain", c.sensor_changed, c.sensor_scatter, c.sensor_ratio_error),
+    ):
+        what = named("actuator", c.layout.id[changed].tolist(), MAX_ROWS) if changed.any() else ""
+        others = f"the others scatter by {percent(scatter)}, each known to"
+        yield row(
+            f"{name} changed", what or "none", f"{others} {percent(float(np.median(errors)))}"
+        )
+    for actuator, sensor, size in c.couplings[:MAX_COUPLINGS]:
+        where = f"actuator {actuator}, sensor {sensor}"
+        yield row("coupling changed", where, f"{percent(size)} of the diagonal")
+    if len(c.couplings) > MAX_COUPLINGS:
+        yield row("", f"and {counted(len(c.couplings) - MAX_COUPLINGS, 'coupling')} more")
+    yield row("noise", percent(c.relative_noise), f"of the rms element, independent {c.noise_law}")
+    yield from _matching(c)
+    yield from _table(c)
+    yield from verdict_lines(c.verdict)
+    yield from (row("undetectable here", text) for text in UNDETECTABLE)
+
+
+def _matching(c: Comparison) -> Iterator[str]:
+    """Yield how actuators, rows and columns were matched, if they differed."""
+    for name, ids in (
+        ("only in the old matrix", c.pair.only_old),
+        ("only in the new matrix", c.pair.only_new),
+        ("no such row any more", c.pair.lost_rows),
+        ("no such column any more", c.pair.lost_columns),
+    ):
+        if ids:
+            yield row(name, named("actuator", ids, MAX_ROWS), "not compared")
+    for name, pairs in (
+        ("coil cables exchanged", c.pair.exchanged_rows),
+        ("sensor cables exchanged", c.pair.exchanged_columns),
+    ):
+        if pairs:
+            yield row(name, ", ".join(f"{i} in the place of {j}" for i, j in pairs[:MAX_ROWS]))
+
+
+def _table(c: Comparison) -> Iterator[str]:
+    """Yield the actuators that changed; if there are none, the largest deviation."""
+    changed = np.flatnonzero(c.alpha_changed | c.sensor_changed)
+    if not changed.size:
+        return
+    far = np.abs(np.log(np.abs(c.alpha_ratio))) + np.abs(np.log(np.abs(c.sensor_ratio)))
+    shown = changed[np.argsort(-far[changed], kind="stable")][:MAX_ROWS]
+    yield f"  {'actuator':<12}{'alpha, new / old':<24}sensor gain, new / old"
+    for k in shown:
+        alpha = with_error(float(c.alpha_ratio[k]), float(c.alpha_ratio_error[k]))
+        gain = with_error(float(c.sensor_ratio[k]), float(c.sensor_ratio_error[k]))
+        marks = [" changed" if each[k] else "" for each in (c.alpha_changed, c.sensor_changed)]
+        yield f"  {c.layout.id[k]:<12}{alpha + marks[0]:<24}{gain + marks[1]}"
+
+
+def values(c: Comparison) -> dict[str, Any]:
+    """Return the same for a script."""
+    return {
+        **attributes(c, "instrument", "common", "common_error", "alpha_scatter", "sensor_scatter"),
+        **attributes(c, "noise_law", "relative_noise", "pattern"),
+        "actuators": columns_by_name(c, CHANGES),
+        "couplings": [
+            {"actuator": actuator, "sensor": sensor, "change": size}
+            for actuator, sensor, size in c.couplings
+        ],
+        **attributes(c.pair, "only_old", "only_new", "lost_rows", "lost_columns"),
+        **attributes(c.pair, "exchanged_rows", "exchanged_columns"),
+        "undetectable": UNDETECTABLE,
+        "verdict": c.verdict,
+    }
