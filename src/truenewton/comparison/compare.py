@@ -131,8 +131,11 @@ class Comparison:
         OutputExists, OutputFailed
         """
         suffix = table_suffix(path)
+        table = self.table
+        for column in table.itercols():
+            column.info.format = None  # all digits
         with file_beside(path, overwrite=overwrite) as temporary:
-            self.table.write(temporary, format=f"ascii{suffix}")
+            table.write(temporary, format=f"ascii{suffix}")
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the change of alpha on the map of the actuators, and return the axes."""

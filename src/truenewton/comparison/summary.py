@@ -70,12 +70,12 @@ def _table(c: Comparison) -> Iterator[str]:
         return
     far = np.abs(np.log(np.abs(c.alpha_ratio))) + np.abs(np.log(np.abs(c.sensor_ratio)))
     shown = changed[np.argsort(-far[changed], kind="stable")][:MAX_ROWS]
-    yield f"  {'actuator':<12}{'alpha, new / old':<24}sensor gain, new / old"
+    yield f"  {'actuator':<12}{'alpha, new / old':<30}sensor gain, new / old"
     for k in shown:
         alpha = with_error(float(c.alpha_ratio[k]), float(c.alpha_ratio_error[k]))
         gain = with_error(float(c.sensor_ratio[k]), float(c.sensor_ratio_error[k]))
         marks = [" changed" if each[k] else "" for each in (c.alpha_changed, c.sensor_changed)]
-        yield f"  {c.layout.id[k]:<12}{alpha + marks[0]:<24}{gain + marks[1]}"
+        yield f"  {c.layout.id[k]:<12}{alpha + marks[0]:<30}{gain + marks[1]}"
 
 
 def values(c: Comparison) -> dict[str, Any]:
@@ -83,7 +83,7 @@ def values(c: Comparison) -> dict[str, Any]:
     return {
         **attributes(c, "instrument", "common", "common_error", "alpha_scatter", "sensor_scatter"),
         **attributes(c, "noise_law", "relative_noise", "pattern"),
-        "actuators": columns_by_name(c, CHANGES),
+        "actuators": columns_by_name(c, CHANGES, *(each.name.lower() for each in CHANGES.columns)),
         "couplings": [
             {"actuator": actuator, "sensor": sensor, "change": size}
             for actuator, sensor, size in c.couplings

@@ -1,0 +1,127 @@
+"""What changed between two matrices of one mirror: simulated pairs with known changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import truenewton as tn
+from studies.comparison import LAWS, pair
+from studies.matrices import measured_or_made, true_stiffness
+from truenewton.errors import CampaignMismatch
+from truenewton.estimation.findings.code import Code, Level
+from truenewton.linalg import symmetrised
+
+MATRIX = measured_or_made("p45")
+EXACT = true_stiffness(MATRIX)
+OLD, NEW, RATIOS, FOUR = pair(MATRIX, EXACT, 2, "equal", changed=False)
+
+
+def with_elements(change):
+    """Return the new matrix with its elements changed in place."""
+    k = NEW.stiffness.copy()
+    change(k)
+    return replace(NEW, stiffness=k)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_changes_are_found_with_errors_that_hold(law):
+    old, new, ratios, four = pair(MATRIX, EXACT, 12, law, changed=True)
+    c = tn.compare(old, new)
+    assert {*np.flatnonzero(c.alpha_changed)} == {*four[:2]}
+    assert {*np.flatnonzero(c.sensor_changed)} == {*four[2:]}
+    for ratio, error, true, changed in (
+        (c.alpha_ratio, c.alpha_ratio_error, ratios[0], c.alpha_changed),
+        (c.sensor_ratio, c.sensor_ratio_error, ratios[1], c.sensor_changed),
+    ):
+        true = true / np.exp(np.log(np.abs(true[~changed])).mean())
+        assert 0.6 < np.sqrt(np.mean((ratio - true) ** 2 / error**2)) < 1.4
+        assert np.abs(ratio - true).max() < 5e-3
+    assert c.verdict.level is Level.SOUND
+
+
+def test_without_a_change_none_is_named():
+    c = tn.compare(OLD, NEW)
+    assert not c.alpha_changed.any()
+    assert not c.sensor_changed.any()
+    assert c.couplings == ()
+    mean = np.exp(np.log(RATIOS).mean(axis=1).sum())
+    assert abs(c.common - mean) < 4 * c.common_error
+
+
+def test_other_order_and_a_missing_actuator_change_nothing():
+    whole = tn.compare(OLD, NEW)
+    kept = np.random.default_rng(1).permutation(45)
+    kept = kept[kept != 7]
+    flexibility = np.linalg.inv(NEW.stiffness)[np.ix_(kept, kept)]  # actuator 8 exerts no force
+    part = replace(NEW, stiffness=np.linalg.inv(flexibility), layout=NEW.layout.part(kept))
+    c = tn.compare(OLD, part)
+    assert c.pair.only_old == (8,)
+    at = np.flatnonzero(np.isin(OLD.layout.id, c.layout.id))
+    apart = np.log(c.alpha_ratio) - np.log(whole.alpha_ratio[at])
+    assert np.abs(apart - apart.mean()).max() < 6e-4
+    assert not c.alpha_changed.any()
+
+
+@pytest.mark.parametrize(("axis", "name"), [(0, "exchanged_rows"), (1, "exchanged_columns")])
+def test_exchanged_cables_are_recognised(axis, name):
+    order = np.arange(45)
+    order[[4, 9]] = 9, 4
+    c = tn.compare(OLD, replace(NEW, stiffness=np.take(NEW.stiffness, order, axis=axis)))
+    assert getattr(c.pair, name) == ((5, 10), (10, 5))
+    assert np.allclose(c.alpha_ratio, tn.compare(OLD, NEW).alpha_ratio, rtol=1e-6)
+
+
+def test_couplings_that_changed_by_themselves_are_named():
+    def change(k):
+        k[3, 11] *= 1.2
+        k[20, 20] *= 1.05
+
+    c = tn.compare(OLD, with_elements(change))
+    assert {each[:2] for each in c.couplings} == {(4, 12), (21, 21)}
+    assert np.allclose(c.alpha_ratio, tn.compare(OLD, NEW).alpha_ratio, rtol=5e-4)
+
+
+def test_a_row_of_noise_is_left_out():
+    def change(k):
+        k[5] = 1e4 * np.random.default_rng(1).standard_normal(45)
+
+    c = tn.compare(OLD, with_elements(change))
+    assert c.pair.lost_rows == (6,)
+    assert not c.alpha_changed.any()
+
+
+def test_a_cleaned_matrix_is_doubtful():
+    rigid = np.linalg.qr(np.stack([np.ones(45), MATRIX.layout.x, MATRIX.layout.y], axis=1))[0]
+    cleaned = NEW.stiffness - rigid @ (rigid.T @ NEW.stiffness)
+    c = tn.compare(OLD, replace(NEW, stiffness=cleaned))
+    assert c.verdict.level is Level.DOUBTFUL
+    assert c.verdict.faults[0].code is Code.PAIR_PATTERN
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda k: k.T, "transposed"),
+        (lambda k: -k, "opposite signs"),
+        (lambda k: OLD.stiffness.astype(np.float32).astype(float), "computed from the other"),
+        (lambda k: symmetrised(k.copy()), "symmetric"),
+        (lambda k: k[np.random.default_rng(0).permutation(45)], "another order"),
+        (lambda k: np.roll(k, (9, 9), axis=(0, 1)), "resemble none"),
+    ],
+)
+def test_matrices_that_cannot_be_compared_are_refused(change, words):
+    with pytest.raises(CampaignMismatch, match=words):
+        tn.compare(OLD, replace(NEW, stiffness=change(NEW.stiffness)))
+
+
+def test_the_command_prints_and_writes(tmp_path, inside):
+    old, new = tmp_path / "old.fits", tmp_path / "new.fits"
+    changed = pair(MATRIX, EXACT, 12, "equal", changed=True)
+    tn.write_stiffness(changed[0], old)
+    tn.write_stiffness(changed[1], new)
+    table = tmp_path / "changes.csv"
+    code, out, _ = inside("compare", old, new, "-o", table)
+    assert code == 0
+    assert "alpha changed" in out
+    assert len(table.read_text(encoding="utf-8").splitlines()) == 46
