@@ -135,7 +135,7 @@ def test_help_has_every_command_in_a_group_and_an_example_of_each(inside):
     assert (code, out.count("Usage: truenewton")) == (0, 1)
     assert "..." not in out.split("To begin:")[1]
     assert all(f"\n{title}:\n" in out for title in GROUPS)
-    assert len(EXAMPLES) == len(app.registered_commands) == 16
+    assert len(EXAMPLES) == len(app.registered_commands) == 17
     for name, example in EXAMPLES.items():
         assert f"\n  {name} " in out
         _, shown, _ = inside(name, "--help")

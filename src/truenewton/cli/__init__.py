@@ -4,7 +4,7 @@ main       collects the commands; errors become one line and an exit code
 options    options and arguments that several commands share
 terminal   results in a terminal: lines, JSON, progress
 take       plan, acquire, import
-calibrate  info, calibrate, recalibrate, track
+calibrate  info, calibrate, recalibrate, compare, track
 use        report, figures, modes, export
 simulate   demo, simulate, serve, prove, mirrors
 """

@@ -1,6 +1,7 @@
-"""What changed between two measured stiffness matrices of one mirror.
+"""What changed between two stiffness matrices of one mirror.
 
-- `pairing`: both matrices for the same actuators in the same order.
-- `fit`: factors of rows and columns, with errors.
-- `compare`: which factors changed, and whether the errors are valid.
+pairing  both matrices for the same actuators in the same order
+fit      factors of rows and columns, the law of the noise, couplings that changed
+compare  which factors changed, and whether the errors are valid
+summary  text for the terminal, values for JSON
 """

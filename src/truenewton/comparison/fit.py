@@ -70,11 +70,11 @@ class ElementNoise:
 
     @classmethod
     def start(cls, one: Array, inflation: Array) -> ElementNoise:
-        """Return equal noise."""
+        """Return equal noise, of (n, n) K_1 and inflation s."""
         return cls(inflation, inflation, np.zeros_like(one))
 
     def refitted(self, u: Array, t: Array) -> ElementNoise:
-        """Return the likeliest law for residuals u."""
+        """Return the likeliest law for (n, n) residuals u and mean t."""
         square = u**2 / (1.0 - np.minimum(self.leverage, MAX_LEVERAGE)) / self.inflation
         power = t**2 / np.median(t**2)
 
@@ -105,7 +105,7 @@ class ElementNoise:
         return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
 
     def with_leverage(self, t: Array, covariance: Array) -> ElementNoise:
-        """Return the law with the leverage that factors of this covariance have."""
+        """Return the law with the leverage that factors of (2n, 2n) covariance have."""
         n = len(t)
         own = np.diag(covariance)
         shared = own[:n, None] + own[n:] + 2.0 * covariance[:n, n:]
@@ -120,7 +120,7 @@ class ElementNoise:
         return np.asarray(u / np.sqrt(self.variance))
 
     def cost(self, u: Array) -> float:
-        """Return -2 log likelihood, but for a constant."""
+        """Return -2 log likelihood of (n, n) residuals, but for a constant."""
         return float((self.whitened(u) ** 2 + np.log(self.variance)).sum())
 
 
@@ -148,14 +148,14 @@ class ModeNoise:
 
     @classmethod
     def start(cls, one: Array, inflation: Array) -> ModeNoise:
-        """Return noise proportional to the singular values."""
+        """Return noise proportional to the singular values of (n, n) K_1."""
         del inflation
         _, sizes, transposed = linalg.singular_values_and_vectors(one)
         sizes = np.maximum(sizes, MIN_RELATIVE_SIZE * sizes[0])
         return cls(transposed.T, sizes, np.ones(len(one)), sizes**2, np.zeros_like(one))
 
     def refitted(self, u: Array, t: Array) -> ModeNoise:
-        """Return the likeliest law for residuals u."""
+        """Return the likeliest law for (n, n) residuals u and mean t."""
         del t
         n = len(u)
         free = 1.0 - np.minimum(self.leverage, MAX_LEVERAGE)
@@ -185,7 +185,7 @@ class ModeNoise:
         return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
 
     def with_leverage(self, t: Array, covariance: Array) -> ModeNoise:
-        """Return the law with the leverage that factors of this covariance have.
+        """Return the law with the leverage that factors of (2n, 2n) covariance have.
 
         The means over rows and over modes are exact; the elements follow as if of product form.
         """
@@ -215,7 +215,7 @@ class ModeNoise:
         return np.asarray(u @ self.modes / np.sqrt(self.rows[:, None] * self.variances))
 
     def cost(self, u: Array) -> float:
-        """Return -2 log likelihood, but for a constant."""
+        """Return -2 log likelihood of (n, n) residuals, but for a constant."""
         n = len(u)
         logs = n * np.log(self.rows).sum() + n * np.log(self.variances).sum()
         return float((self.whitened(u) ** 2).sum() + logs)
@@ -225,7 +225,7 @@ Noise = ElementNoise | ModeNoise
 
 
 def shrunk(logs: Array, variance: Array | float) -> Array:
-    """Return logarithms moved towards their mean by the share of noise in their variance.
+    """Return (n,) logarithms moved towards their mean by the share of noise in their variance.
 
     ``variance`` is that of the noise of each; the variance of the population is estimated from what
     exceeds it (DerSimonian and Laird, Controlled Clin. Trials 7, 177, 1986).

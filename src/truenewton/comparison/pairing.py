@@ -212,7 +212,7 @@ def _cosines(old: Array, new: Array) -> Array:
 
 
 def rough_residual(one: Array, other: Array) -> float:
-    """Return the residual of least-squares factors of rows and columns, relative to the fit."""
+    """Return the residual of factors between (n, n) matrices, relative to the fit."""
     logs, signs = rough_factors(one, other)
     fitted = one * np.exp(logs[0][:, None] + logs[1]) * signs[0][:, None] * signs[1]
     return float(np.linalg.norm(other - fitted) / np.linalg.norm(fitted))
