@@ -132,6 +132,38 @@ def run_recalibrate(
     print_result(shown, output, values=as_values, schema=schema, quiet=quiet)
 
 
+def run_compare(
+    old: Path = typer.Argument(..., metavar="OLD", help="Stiffness file of before."),
+    new: Path = typer.Argument(..., metavar="NEW", help="Stiffness file of after."),
+    output: Path | None = options.output("Table of all changes to write (.csv, .ecsv)."),
+    figure: Path | None = typer.Option(
+        None, "--figure", help="Map of the change of alpha to write (.pdf, .png, .svg)."
+    ),
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
+) -> None:
+    """Find which actuators and sensors changed between two matrices of one mirror."""
+    from truenewton.comparison.compare import compare, table_suffix
+    from truenewton.comparison.summary import lines, values
+    from truenewton.figures.writing import write_figure
+    from truenewton.reading import read_stiffness
+
+    if output is not None:
+        table_suffix(output)
+    refuse_existing(output, figure, overwrite=overwrite)
+    with busy("comparing"):
+        compared = compare(read_stiffness(old), read_stiffness(new))
+    with atomic_outputs():
+        if output is not None:
+            compared.write(output, overwrite=overwrite)
+        if figure is not None:
+            write_figure(compared.plot(), figure, overwrite=overwrite)
+    written = (output, figure) if figure else (output,)
+    as_values = values(compared) if json else None
+    print_result(lines(compared), *written, values=as_values, schema="compare", quiet=quiet)
+
+
 def run_track(
     paths: list[Path] = options.paths(
         "Calibration files, or folders of campaigns.", "CALIBRATION..."
