@@ -326,7 +326,10 @@ def _import_campaign(
 ) -> None:
     """Write the cycle files of the campaign that a TOML file describes."""
     from truenewton.importers.campaign import campaign_from
-    from truenewton.records.file import write_campaign
+    from truenewton.records.file import SUFFIXES, write_campaign
+
+    if output is not None and output.name.endswith(SUFFIXES):
+        raise typer.BadParameter("let -o be a folder: a campaign has a file for each cycle")
 
     refuse_existing(output, overwrite=overwrite)
     with busy("importing"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,8 @@ OF_TABLE = ("load", "cycle", "actuator", "row", *ARRAYS)
 
 def layout_of(positions: Any, enabled: Any = None) -> Layout:
     """Return a layout, or that of a pair of (n,) x and y [m]."""
-    if isinstance(positions, Layout) and enabled is None:
-        return positions
     if isinstance(positions, Layout):
-        return layout(positions.x, positions.y, id=positions.id, nz=positions.nz, enabled=enabled)
+        return positions if enabled is None else replace(positions, enabled=enabled)
     if len(positions) != 2:
         raise FormatError("positions are not a pair", remedy="give (x, y), or a layout")
     return layout(*positions, enabled=enabled)
@@ -85,9 +84,9 @@ def cycles_in_table(
     units: Mapping[str, str],
 ) -> dict[Load, list[dict[str, Any]]]:
     """Return the arrays of each cycle of each load in a table with one row for each reading."""
-    there = list(table.columns if hasattr(table, "columns") else table)
-    if hasattr(table, "colnames"):  # of astropy
-        there = table.colnames
+    import astropy.units as u
+
+    there = list(getattr(table, "columns", table))
     _require_names(columns, (), OF_TABLE)
     known = {name: columns.get(name, name) for name in OF_TABLE}
     used = {name: table[of] for name, of in known.items() if of in there}
@@ -97,7 +96,7 @@ def cycles_in_table(
         raise FormatError(f"the table has no column '{missing[0]}'", remedy=remedy)
     for name, unit in units.items():
         _require_names([name], (), [one for one in ARRAYS if one in used])
-        used[name] = np.asarray(used[name]) * _unit(unit)
+        used[name] = u.Quantity(np.asarray(used[name]), unit)
     values = {
         name: np.asarray(in_unit(column, Cycle.QUANTITIES[name].unit, name))
         if name in ARRAYS
@@ -123,12 +122,6 @@ def cycles_in_table(
                 one = {name: column[some] for name, column in values.items()}
                 found[load].append({"number": int(k), **wide_rows(one, actuators)})
     return found
-
-
-def _unit(unit: str) -> Any:
-    import astropy.units as u
-
-    return u.Unit(unit)
 
 
 def wide_rows(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str, Any]:
