@@ -114,7 +114,7 @@ def run_recalibrate(
     from truenewton.reading import read_chosen
     from truenewton.recalibration.fit import recalibrate
     from truenewton.recalibration.summary import lines, values
-    from truenewton.records.parts import apply
+    from truenewton.records.parts import has_parts
 
     auto = actuators.strip().casefold() == "auto"
     ids = [] if auto else options.ids(actuators, "--actuators")
@@ -124,7 +124,9 @@ def run_recalibrate(
     with busy("recalibrating"), about(paths):
         data = read_chosen(*paths, segment=segment)
         made = recalibrate(data, known, ids, accept_rejected=anyway)
-        calibration = usable(apply(attrgetter("calibration"), made), accept_rejected=anyway)
+        of_one = attrgetter("calibration")
+        found = made.map(of_one) if has_parts(made) else of_one(made)
+        calibration = usable(found, accept_rejected=anyway)
     shown, as_values = lines(made, calibration), values(made, calibration) if json else None
     if output is not None:
         calibration.write(output, overwrite=overwrite)

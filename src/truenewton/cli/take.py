@@ -330,7 +330,6 @@ def _import_campaign(
 
     if output is not None and output.name.endswith(SUFFIXES):
         raise typer.BadParameter("let -o be a folder: a campaign has a file for each cycle")
-
     refuse_existing(output, overwrite=overwrite)
     with busy("importing"):
         campaign, lines = campaign_from(path)

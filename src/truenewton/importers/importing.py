@@ -317,7 +317,9 @@ def _positions_of(
     if positions.x.size != n_all:
         raise FormatError(
             f"there are {positions.x.size} positions for {n_all} rows and columns",
-            remedy="give one for each row; where both are numbered, name the rows by --ids (ids=)",
+            remedy="name the rows by --ids (ids=)"
+            if given.mirror is not None
+            else "give one for each row; if both are numbered, name the rows by --ids (ids=)",
             got=positions.x.size,
             want=n_all,
         )

@@ -315,11 +315,6 @@ def by_number(made: Part | Parts[Part]) -> Mapping[int, Part]:
     return made.found if isinstance(made, Parts) else {0: made}
 
 
-def apply(function: Callable[[Part], Made], made: Part | Parts[Part]) -> Made | Parts[Made]:
-    """Apply a function to the result of one body, or to each part."""
-    return made.map(function) if isinstance(made, Parts) else function(made)
-
-
 def parts_from(file: FitsFile, kind: ResultKind[Part]) -> Parts[Part]:
     """Return the parts in a file."""
     alpha = TableFormat(kind.name, (Column("ALPHA", "alpha"),))
