@@ -31,7 +31,7 @@ FOREIGN = {  # extensions of files that cannot be calibrated: what the file is, 
         "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
     ),
     "CALIBRATION": Fault(
-        "is a calibration file among others", "give it alone, or two calibrations to `report`"
+        "is a calibration file among others", "give it alone, or two calibrations to `report`{}"
     ),
 }
 
@@ -169,5 +169,8 @@ def _refuse_foreign(files: list[FitsFile], matrices: list[FitsFile]) -> None:
             ]
         if file in matrices[1:]:
             faults += [Fault("is a second stiffness file among others", "give it alone")]
+        if len(files) == 1 and "CALIBRATION" in file.extensions:
+            faults = [Fault("is a calibration already", "give cycle files or a stiffness file")]
         for fault, remedy in faults:
-            raise FormatError(fault, remedy=remedy, path=file.path)
+            others = [f": {f.path} is not one" for f in files if "CALIBRATION" not in f.extensions]
+            raise FormatError(fault, remedy=remedy.format(*others[:1] or [""]), path=file.path)

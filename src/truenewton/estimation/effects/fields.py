@@ -288,8 +288,25 @@ def derivative_of(
             information=mix.T @ sums.information[functions, functions] @ mix,
             spurious=biased,
         )
+    of_each = _of_each(fit, sums, functions, mix, some, kinds)
+    return Derivative(
+        len(of_each.score),
+        remove,
+        of_each=of_each,
+        score=(mix.T @ sums.each_score[functions])[:, some].ravel(),
+        information=_mixed(mix, sums.each_information[functions, functions])[:, :, some],
+        spurious=biased,
+        actuators=actuators,
+        direction=direction,
+    )
+
+
+def _of_each(
+    fit: FittedRows, sums: FieldSums, functions: slice, mix: Array, some: Some, kinds: Array
+) -> OfEach:
+    """Return J of sizes of each actuator, or of ``some``; ``kinds`` of functions are mixed, too."""
     arms = fit.scaled_arms[:, some]
-    pulled = fit.root @ arms
+    pulled, k = fit.root @ arms, len(mix)
     kinds = kinds[: len(sums.each_square)]
     pull = kinds.T @ sums.each_pull[:, :, some]
     square = np.einsum("ak,abn,bk->kn", kinds, sums.each_square[:, :, some], kinds, optimize=True)
@@ -302,20 +319,11 @@ def derivative_of(
             made[:, index] = fit.moments.pooling.weighed(one) @ values
         return made.reshape(len(made), -1)
 
-    return Derivative(
-        k * arms.shape[1],
-        remove,
-        of_each=OfEach(
-            arms=-np.tile(arms, k),
-            rows=rows,
-            score=-np.sum(pulled[:, None] * pull, axis=0).ravel(),
-            whole=(np.sum(pulled**2, axis=0) * square).ravel(),
-        ),
-        score=(mix.T @ sums.each_score[functions])[:, some].ravel(),
-        information=_mixed(mix, sums.each_information[functions, functions])[:, :, some],
-        spurious=biased,
-        actuators=actuators,
-        direction=direction,
+    return OfEach(
+        arms=-np.tile(arms, k),
+        rows=rows,
+        score=-np.sum(pulled[:, None] * pull, axis=0).ravel(),
+        whole=(np.sum(pulled**2, axis=0) * square).ravel(),
     )
 
 

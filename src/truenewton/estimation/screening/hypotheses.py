@@ -21,8 +21,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import squareform
 
 from truenewton.arrays import Array
 from truenewton.estimation.findings.code import Code
@@ -55,16 +53,21 @@ def squared_differences(rows: Array, others: Array) -> Array:
 
 
 def clusters(distance: Array, count: int) -> NDArray[np.int64] | None:
-    """Return the (files,) clusters by (files, files) distances; None if they are not clear."""
-    if count >= len(distance):
-        return None
-    merged = linkage(squareform(distance, checks=False), "single")
-    within, between = merged[len(distance) - count - 1 :, 2][:2]
-    if within >= MAX_SAME_DISTANCE * between:
-        return None
-    label = fcluster(merged, count, "maxclust")
-    first = np.unique(label, return_index=True)[1]  # files of each cluster: number them in order
-    return np.searchsorted(np.sort(first), first[label - 1])
+    """Return the (files,) clusters by (files, files) distances; None if they are not clear.
+
+    The two nearest files of different clusters are merged first (single linkage). A few lines
+    suffice for a few files: importing ``scipy.cluster`` takes a fifth of a second.
+    """
+    member, heights = np.arange(len(distance)), dict[int, float]()
+    while len(left := np.unique(member)) > 1:
+        if len(left) == count:
+            answer = np.searchsorted(left, member)
+        apart = np.where(member[:, None] == member, np.inf, distance)
+        one, other = np.unravel_index(apart.argmin(), apart.shape)
+        heights[len(left)] = float(apart[one, other])
+        member[member == member[other]] = member[one]
+    between, within = heights.get(count, 0.0), heights.get(count + 1, np.inf)
+    return answer if within < MAX_SAME_DISTANCE * between else None
 
 
 def named_files(campaign: Campaign, files: Iterable[int]) -> str:
