@@ -1,4 +1,4 @@
-"""The house: its rooms as a picture, drawn from the import contract, and the sizes of its parts.
+"""Packages as a picture, drawn from the import contract, and the sizes of modules and functions.
 
 python docs/house.py            writes docs/images/house.svg
 python docs/house.py --sizes    prints the largest modules and functions; exit code 1 beyond a limit
@@ -28,10 +28,10 @@ WIDTH, MARGIN, GAP, PADDING = 1000, 16, 10, 10
 NAME, TEXT, LINE = 15, 12, 16  # sizes of type, and from line to line [px]
 INK, FAINT = "#1a1a1a", "#5c5c5c"
 FILLS = {
-    "sees both towers": "#ece4f2",
+    "imports from both sides": "#ece4f2",
     "makes data, holds the truth": "#fbe3cf",
     "reads data, never sees the truth": "#d9e8f5",
-    "the floor under both": "#eeeeee",
+    "used by both sides": "#eeeeee",
 }
 
 
@@ -42,13 +42,13 @@ def contracts() -> list[dict[str, object]]:
 
 
 def layers() -> list[list[str]]:
-    """Return the rooms and loose modules, layer by layer from the top."""
+    """Return the packages and single modules, layer by layer from the top."""
     (only,) = (c for c in contracts() if c.get("containers") == ["truenewton"])
     return [re.split(r"\s*[|:]\s*", str(layer)) for layer in only["layers"]]  # type: ignore[attr-defined]
 
 
-def towers() -> dict[str, set[str]]:
-    """Return who makes data and who reads them, by what each must never import."""
+def sides() -> dict[str, set[str]]:
+    """Return the packages that make data and those that read them, from the contract."""
     pairs = [c for c in contracts() if c["type"] == "forbidden"]
     sides = [{str(m).split(".")[1] for m in c["source_modules"]} for c in pairs]  # type: ignore[attr-defined]
     makes = next(side for side in sides if "bench" in side)
@@ -57,18 +57,18 @@ def towers() -> dict[str, set[str]]:
 
 
 def side(room: str) -> str:
-    """Return on which side of the contract a room stands."""
-    for name, rooms in towers().items():
+    """Return the side of the contract on which a package is."""
+    for name, rooms in sides().items():
         if room in rooms:
             return name
     levels = layers()
     at = next(k for k, level in enumerate(levels) if room in level)
     both = next(k for k, level in enumerate(levels) if "planning" in level)
-    return "sees both towers" if at <= both else "the floor under both"
+    return "imports from both sides" if at <= both else "used by both sides"
 
 
 def first_line(room: str) -> str:
-    """Return what a room says of itself in its first line."""
+    """Return the first line of the docstring of a package."""
     path = SOURCE / room / "__init__.py"
     path = path if path.exists() else SOURCE / f"{room}.py"
     return (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split("\n")[0]
@@ -80,7 +80,7 @@ def stories(
     """Return layers drawn above each other, down to ``bottom`` if given, and the end."""
     texts = {
         room: textwrap.wrap(
-            first_line(room), int((width / len(rooms) - 2 * PADDING - GAP) / (0.52 * TEXT))
+            first_line(room), int((width / len(rooms) - 2 * PADDING - GAP) / (0.58 * TEXT))
         )
         for rooms in levels
         for room in rooms
@@ -109,15 +109,15 @@ def stories(
 
 
 def picture() -> str:
-    """Return the house as SVG: what stands on top imports from what lies below it alone."""
+    """Return the packages in layers as SVG: each imports only from those below it."""
     whole = WIDTH - 2 * MARGIN
     half = (whole - 3 * GAP) / 2
     makes, reads = ([[r for r in level if r in rooms] for level in layers()]
-                    for rooms in towers().values())  # fmt: skip
-    makes, reads = ([level for level in tower if level] for tower in (makes, reads))
+                    for rooms in sides().values())  # fmt: skip
+    makes, reads = ([level for level in levels if level] for levels in (makes, reads))
     above, floor = (
         [level for level in layers() if side(level[0]) == name]
-        for name in ("sees both towers", "the floor under both")
+        for name in ("imports from both sides", "used by both sides")
     )
 
     roof, walls = stories(above, MARGIN, whole, MARGIN)
@@ -135,7 +135,7 @@ def picture() -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:.0f}" role="img"'
         f' font-family="sans-serif" fill="{INK}">\n'
-        "<title>The rooms of truenewton: each imports from those that lie below it</title>\n"
+        "<title>Packages of truenewton: each imports only from those below it</title>\n"
         f'<rect width="{WIDTH}" height="{height:.0f}" fill="white"/>\n'
         + "\n".join((roof, left, right, base, legend))
         + "\n</svg>\n"
