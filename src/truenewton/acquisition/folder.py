@@ -12,6 +12,7 @@ import datetime
 import difflib
 import hashlib
 import os
+import shutil
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -32,7 +33,7 @@ from truenewton.errors import BenchFault, CampaignMismatch, FormatError, OutputE
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import FileFormat, ImageFormat
 from truenewton.files.opening import read_text, refuse_odd
-from truenewton.files.outputs import file_beside, in_one_line, remove_abandoned, to_disk
+from truenewton.files.outputs import file_beside, in_one_line, to_disk
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
@@ -269,8 +270,10 @@ def begin_or_resume(
     The first run chooses turns that the plan leaves open. Shapes are not computed again, because
     modes of one stiffness may differ on another machine. Another plan is a `CampaignMismatch`.
     """
-    with in_one_line(folder):
-        remove_abandoned(folder, (PLAN, SHAPES, *cycle_names(plan)))
+    half_written = tuple(f".{name}." for name in (PLAN, SHAPES, *cycle_names(plan)))
+    with in_one_line(folder):  # by a run that was killed: this one has the lock of the folder
+        for path in [each for each in folder.iterdir() if each.name.startswith(half_written)]:
+            shutil.rmtree(path)
     if (folder / PLAN).exists():
         refuse_other_plan(folder, plan, beside)
         shapes = read_fits(folder / SHAPES).pixels("SHAPES", "m")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
 import os
 import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,8 +48,13 @@ class _Made:
     lock: FileLock
 
     def discard(self) -> None:
-        """Remove the hidden folder."""
-        with undisturbed():
+        """Remove the hidden folder, its lock last: until then it can be seen to be abandoned."""
+        with undisturbed(), contextlib.suppress(OSError):
+            for each in [path for path in self.work.iterdir() if path.name != LOCK]:
+                if each.is_dir():
+                    shutil.rmtree(each, ignore_errors=True)
+                else:
+                    each.unlink(missing_ok=True)
             self.lock.release()
             shutil.rmtree(self.work, ignore_errors=True)
 
@@ -59,10 +65,9 @@ def _lock_of(work: Path) -> FileLock:
     return FileLock(work / LOCK)
 
 
-def remove_abandoned(folder: Path, names: Iterable[str]) -> None:
-    """Remove the hidden folders of outputs of these names whose process was killed."""
-    prefixes = tuple(f".{name}." for name in names)
-    for work in [each for each in folder.iterdir() if each.name.startswith(prefixes)]:
+def _remove_abandoned(target: Path) -> None:
+    """Remove the hidden folders of earlier outputs of this name whose process was killed."""
+    for work in list(target.parent.glob(f".{glob.escape(target.name)}.*")):
         lock = _lock_of(work)
         if (work / LOCK).exists():
             with contextlib.suppress(*NOT_LOCKED):  # its process runs
@@ -148,7 +153,7 @@ def _beside(targets: Sequence[Path]) -> Iterator[Path]:
     before = _COLLECTED.set(None)  # what is written inside it is no output yet
     with in_one_line(first):
         try:
-            remove_abandoned(first.parent, [first.name])
+            _remove_abandoned(first)
             with undisturbed():
                 work = Path(tempfile.mkdtemp(prefix=f".{first.name}.", dir=first.parent))
                 made = _Made(work, targets, _lock_of(work))
