@@ -299,7 +299,7 @@ COMMANDS = {
     "calibrate PATH": {"campaign", "stiffness"},
     "info PATH": {"campaign", "cycle", "stiffness", "calibration"},
     "report PATH -o OUT.html": {"campaign", "cycle", "stiffness", "calibration"},
-    "report ALPHA PATH -o OUT.html": {"calibration"},
+    "report ALPHA PATH -o OUT.html": {"calibration", "campaign"},  # which names ALPHA
     "figures PATH -o OUT": {"campaign", "stiffness", "calibration"},
     "track PATH": set(),
     "track ALPHA PATH": set(),
