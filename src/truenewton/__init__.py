@@ -39,6 +39,7 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.figures import write_figures as write_figures
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
+    from truenewton.comparison.calibrations import Change as Change
     from truenewton.comparison.compare import Comparison as Comparison
     from truenewton.comparison.compare import compare as compare
     from truenewton.estimation.findings.code import Code as Code
@@ -75,7 +76,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.records.parts import Parts as Parts
     from truenewton.records.segmented import SegmentedData as SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix as StiffnessMatrix
-    from truenewton.report.change import change as change
     from truenewton.report.findings import investigate as investigate
     from truenewton.report.page.page import write_report as write_report
     from truenewton.statics.layout import Layout as Layout
@@ -108,6 +108,7 @@ _NAMES = {
     "calibration.figures": ["write_figures"],
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
+    "comparison.calibrations": ["Change"],
     "comparison.compare": ["Comparison", "compare"],
     "estimation.findings.code": ["Code", "Level"],
     "estimation.findings.finding": ["Finding", "Verdict"],
@@ -130,7 +131,6 @@ _NAMES = {
     "records.parts": ["Parts"],
     "records.segmented": ["SegmentedData"],
     "records.stiffness_matrix": ["StiffnessMatrix"],
-    "report.change": ["change"],
     "report.findings": ["investigate"],
     "report.page.page": ["write_report"],
     "statics.layout": ["Layout", "layout", "rings", "spherical_rings"],

@@ -86,7 +86,7 @@ def test_another_suffix_is_refused_before_anything_is_read(calibration, inside, 
 
 
 def test_plots_of_a_result_are_figures_of_pyplot(calibration):
-    findings, change = tn.investigate(calibration), tn.change(calibration, calibration)
+    findings, change = tn.investigate(calibration), tn.compare(calibration, calibration)
     calls = (
         calibration.plot_map, calibration.plot_actuators, change.plot_map, change.plot_actuators,
         lambda: findings.plot("map-leverage"),

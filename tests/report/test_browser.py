@@ -11,8 +11,8 @@ import pytest
 from helpers import report_data
 from helpers.browser import AXE, CHROMIUM, DRIVER, TOOLTIP, Browser
 from helpers.report_data import changed_by, hostile_campaign
+from truenewton.comparison.calibrations import compare_calibrations
 from truenewton.estimation.findings.estimate import Diagnosis
-from truenewton.report.change import change
 from truenewton.report.findings import investigate
 from truenewton.report.page.page import write_report
 
@@ -66,7 +66,7 @@ def pages(tmp_path_factory, p45_findings):
         "rejected": investigate(report_data.with_outliers()),
         "no_alpha": investigate(report_data.one_load()),
         "hostile": investigate(hostile_campaign()),
-        "change": change(*changed_by(12.0)),
+        "change": compare_calibrations(*changed_by(12.0)),
         "file": investigate(
             replace(p45_findings.calibration, diagnosis=Diagnosis(), goodness=None)
         ),

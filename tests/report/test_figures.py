@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from helpers import report_data
 from helpers.report_data import changed_by, with_sensors
+from truenewton.comparison.calibrations import compare_calibrations
 from truenewton.figures.style import COLUMN
 from truenewton.records.campaign import Campaign
-from truenewton.report.change import change
 from truenewton.report.figures import figures_of, still_figures
 from truenewton.report.findings import investigate
 
@@ -25,7 +25,7 @@ def points(ax):
 
 
 def test_every_call_takes_axes_and_returns_them(p45_findings):
-    found = change(*changed_by(12.0))
+    found = compare_calibrations(*changed_by(12.0))
     names = ("budget", "residuals", "balance", "singular-values", "temperatures", "modes",
              "modes-residual", "modes-power", "modes-comparison", "map-leverage", "map-noise"
     )  # fmt: skip
@@ -90,7 +90,7 @@ def test_temperatures_stand_at_their_time(p45_findings):
 
 
 def test_a_change_stands_with_its_name_beyond_the_band():
-    found = change(*changed_by(12.0))
+    found = compare_calibrations(*changed_by(12.0))
     ax = found.plot_actuators()
     [dots] = points(ax)
     assert np.max(dots.get_ydata()) == pytest.approx(12.0, rel=1e-6)

@@ -14,11 +14,11 @@ from helpers import report_data
 from helpers.balanced import arms_of, p45_campaign
 from helpers.report_data import HOSTILE, changed_by, hostile_campaign
 from truenewton.calibration.methods import calibrate
+from truenewton.comparison.calibrations import compare_calibrations
 from truenewton.errors import CampaignMismatch, UnknownName
 from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
-from truenewton.report.change import change
 from truenewton.report.findings import investigate
 from truenewton.report.layers import calibration_layers
 from truenewton.report.page.page import page
@@ -125,7 +125,7 @@ def test_leverage_is_that_of_the_readings(p45):
 
 
 def test_a_changed_actuator_stands_out_by_as_many_sigmas():
-    found = change(*changed_by(12.0))
+    found = compare_calibrations(*changed_by(12.0))
     assert found.ratio == pytest.approx(1.02)
     assert found.sigmas[6] == pytest.approx(12.0, rel=1e-6)
     assert np.abs(np.delete(found.sigmas, 6)).max() < 1e-9
@@ -139,26 +139,26 @@ def test_a_changed_actuator_stands_out_by_as_many_sigmas():
 
 
 def test_what_is_common_to_all_is_no_change():
-    found = change(*changed_by(0.0))
+    found = compare_calibrations(*changed_by(0.0))
     assert headline_of(found).title == "No change"
     scale = np.nanmedian(found.one.systematic_error / found.one.alpha)
     assert found.ratio_error == pytest.approx(1.02 * np.sqrt(2) * scale)
     named = replace(found.one, sources=(Source("bare.fits", "0" * 64, 1, 0),))
-    assert "rest on the same files" in headline_of(change(named, named)).advice[0][0]
+    assert "rest on the same files" in headline_of(compare_calibrations(named, named)).advice[0][0]
 
 
 def test_chance_alone_changes_nothing():
     """Two campaigns of one mirror: the sigmas scatter by about one."""
     one = calibrate(p45_campaign(2))
     other = calibrate(Campaign(p45_campaign(4).cycles[2:4] + p45_campaign(4).cycles[6:8]))
-    found = change(one, other)
+    found = compare_calibrations(one, other)
     assert 0.5 < np.std(found.sigmas) < 1.6
     assert not found.changed.size
 
 
 def test_two_mirrors_are_not_compared_and_unknown_figures_not_drawn(p45):
     with pytest.raises(CampaignMismatch, match="not of the same actuators"):
-        change(p45.calibration, changed_by(0.0)[0])
+        compare_calibrations(p45.calibration, changed_by(0.0)[0])
     with pytest.raises(UnknownName, match="choose map-alpha, map-e-alpha"):
         p45.plot("colour")
 

@@ -138,8 +138,8 @@ def test_what_changed_is_told_by_segment(days, files, inside, tmp_path):
     alpha = other.found[2].alpha.copy()
     alpha[3] *= 1.05
     parts = dict(other.found) | {2: replace(other.found[2], alpha=alpha)}
-    moved = tn.change(days[0], replace(other, found=parts))
-    alone = {n: tn.change(days[0].found[n], parts[n]) for n in (1, 2, 3)}
+    moved = tn.compare(days[0], replace(other, found=parts))
+    alone = {n: tn.compare(days[0].found[n], parts[n]) for n in (1, 2, 3)}
     for number, part in alone.items():
         own = other.layout.segment == number
         assert np.array_equal(moved.sigmas[own], part.sigmas)
@@ -152,13 +152,13 @@ def test_what_changed_is_told_by_segment(days, files, inside, tmp_path):
     assert "No change" in said
     assert "common ratios, second to first: 0.99" in said
     assert 'data-key="segment"' in page.read_text()
-    lost = tn.change(without(days[0], 3), other)
+    lost = tn.compare(without(days[0], 3), other)
     assert set(lost.segments) == {1, 2}
     assert np.isnan(lost.sigmas[other.layout.segment == 3]).all()
     tn.write_report(page, lost, overwrite=True)
     assert "no alpha in one of them" in page.read_text()
     with pytest.raises(CampaignMismatch, match="the other of one body"):
-        tn.change(days[0], other.found[1])
+        tn.compare(days[0], other.found[1])
 
 
 @pytest.fixture(scope="module")

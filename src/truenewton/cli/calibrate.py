@@ -135,8 +135,8 @@ def run_recalibrate(
 
 
 def run_compare(
-    old: Path = typer.Argument(..., metavar="OLD", help="Stiffness file of before."),
-    new: Path = typer.Argument(..., metavar="NEW", help="Stiffness file of after."),
+    old: Path = typer.Argument(..., metavar="OLD", help="Stiffness or calibration of before."),
+    new: Path = typer.Argument(..., metavar="NEW", help="Stiffness or calibration of after."),
     output: Path | None = options.output("Table of all changes to write (.csv, .ecsv)."),
     figure: Path | None = typer.Option(
         None, "--figure", help="Map of the change of alpha to write (.pdf, .png, .svg)."
@@ -145,22 +145,21 @@ def run_compare(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Find which actuators and sensors changed between two matrices of one mirror."""
-    from truenewton.comparison.compare import compare, table_suffix
+    """Find what changed between two stiffness matrices, or two calibrations, of one mirror."""
+    from truenewton.comparison.compare import compare
     from truenewton.comparison.summary import lines, values
     from truenewton.figures.writing import write_figure
-    from truenewton.reading import read_stiffness
 
     if output is not None:
-        table_suffix(output)
+        options.require_suffix(output, (".csv", ".ecsv"), "table")
     refuse_existing(output, figure, overwrite=overwrite)
     with busy("comparing"):
-        compared = compare(read_stiffness(old), read_stiffness(new))
+        compared = compare(old, new)
     with atomic_outputs():
         if output is not None:
             compared.write(output, overwrite=overwrite)
         if figure is not None:
-            write_figure(compared.plot(), figure, overwrite=overwrite)
+            write_figure(compared.plot_map(), figure, overwrite=overwrite)
     written = (output, figure) if figure else (output,)
     as_values = values(compared) if json else None
     print_result(lines(compared), *written, values=as_values, schema="compare", quiet=quiet)

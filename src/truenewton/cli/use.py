@@ -34,8 +34,8 @@ def run_report(
     quiet: bool = options.QUIET,
 ) -> None:
     """Write verdict, map, residuals and inputs on one page, or the change between two files."""
+    from truenewton.comparison.calibrations import compare_calibrations
     from truenewton.reading import read_alpha, read_calibrations, read_chosen
-    from truenewton.report.change import change
     from truenewton.report.findings import investigate
     from truenewton.report.page.page import write_report
     from truenewton.report.verdict import headline_of
@@ -47,7 +47,7 @@ def run_report(
         pair = read_calibrations(*paths, segment=segment) if len(paths) == 2 else ()
         if pair:
             edges = options.edges_of(mirror, pair[0].layout)
-            findings = change(*pair)
+            findings = compare_calibrations(*pair)
         else:
             data = read_chosen(*paths, segment=segment)
             edges = options.edges_of(mirror, data.layout)

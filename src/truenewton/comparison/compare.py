@@ -6,27 +6,29 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
+from typing import ClassVar, overload
 
 import numpy as np
-from astropy.table import QTable
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.calibration.result import AnyCalibration
 from truenewton.chance import FALSE_ALARM, t_isf
+from truenewton.comparison.calibrations import Change, Tabulated, compare_calibrations
 from truenewton.comparison.fit import ElementNoise, PairFit, fit_pair, rough_factors
 from truenewton.comparison.pairing import Pair, pair_matrices, rough_residual
-from truenewton.errors import CampaignMismatch, OutputFailed
+from truenewton.errors import CampaignMismatch
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding, Verdict, judged
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import balance_effects, orientation_effects
 from truenewton.figures.maps import plot_map
 from truenewton.figures.style import SIGNED_COLOURS, on_screen
-from truenewton.files.format import Column, TableFormat, quantities
-from truenewton.files.outputs import file_beside
+from truenewton.files.format import Column, TableFormat
+from truenewton.reading import Read, holds_alpha, read
 from truenewton.records.file import ID, X, Y
+from truenewton.records.reader import AnyPath
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout
@@ -59,7 +61,7 @@ CHANGES = TableFormat(
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Tabulated):
     """What changed from an old to a new stiffness matrix of one mirror.
 
     Attributes
@@ -98,6 +100,8 @@ class Comparison:
     <Level.SOUND: 'sound'>
     """
 
+    COLUMNS: ClassVar = CHANGES
+
     instrument: str
     layout: Layout
     alpha_ratio: Array
@@ -117,26 +121,7 @@ class Comparison:
     pair: Pair
     findings: tuple[Finding, ...] = field(default=())
 
-    @property
-    def table(self) -> QTable:
-        """The changes of all actuators, with units."""
-        return quantities(self, CHANGES)
-
-    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the table of changes; the name ends in .csv or .ecsv, which contains units.
-
-        Raises
-        ------
-        OutputExists, OutputFailed
-        """
-        suffix = table_suffix(path)
-        table = self.table
-        for column in table.itercols():
-            column.info.format = None  # all digits
-        with file_beside(path, overwrite=overwrite) as temporary:
-            table.write(temporary, format=f"ascii{suffix}")
-
-    def plot(self, ax: Axes | None = None) -> Axes:
+    def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change of alpha on the map of the actuators, and return the axes."""
         change = 100.0 * (np.abs(self.alpha_ratio) - 1.0)
         limit = float(np.percentile(np.abs(change), 98.0)) or 1.0
@@ -156,29 +141,61 @@ class Comparison:
         return judged(self.findings)
 
 
-def compare(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison:
-    """Return what changed between two measured stiffness matrices of one mirror.
+@overload
+def compare(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison: ...
+@overload
+def compare(old: AnyCalibration, new: AnyCalibration) -> Change: ...
+@overload
+def compare(old: Read | AnyPath, new: Read | AnyPath) -> Comparison | Change: ...
+def compare(old: Read | AnyPath, new: Read | AnyPath) -> Comparison | Change:
+    """Return what changed between two stiffness matrices, or two calibrations, of one mirror.
 
-    The change of each alpha and of each sensor gain follows from the matrices alone, without
-    weights, balance or symmetry, since the true stiffness cancels. A local change of the glass that
-    resembles a product of factors cannot be told from a change of alpha.
+    Two matrices show the change of each alpha and of each sensor gain without weights, balance or
+    symmetry, since the true stiffness cancels. A local change of the glass that resembles a product
+    of factors cannot be told from a change of alpha. Two calibrations show the same with the errors
+    of both, 2 to 100 times larger.
 
     Parameters
     ----------
     old, new
-        Before and after. Actuators are matched by ID and position.
+        Before and after, or their paths. Actuators of matrices are matched by ID and position.
 
     Raises
     ------
     CampaignMismatch
-        The matrices are not of one mirror, one is transposed or has the other sign, or one was
-        computed from the other.
+        They are not of one mirror or not of one kind, a matrix is transposed or has the other sign,
+        or one was computed from the other.
+    RankDeficient
+        No segment has alpha in both calibrations.
 
     Examples
     --------
     >>> compared = tn.compare(old, new)
     >>> int(compared.alpha_changed.sum())
     0
+    >>> moved = tn.compare(calibration, warm)
+    >>> f"{moved.ratio:.2f}, and beside it {len(moved.changed)} actuators"
+    '0.99, and beside it 0 actuators'
+    """
+    pair = [read(each) if isinstance(each, (str, os.PathLike)) else each for each in (old, new)]
+    one, other = pair
+    if isinstance(one, StiffnessMatrix) and isinstance(other, StiffnessMatrix):
+        return compare_matrices(one, other)
+    if holds_alpha(one) and holds_alpha(other):
+        return compare_calibrations(one, other)
+    raise CampaignMismatch(
+        "only two stiffness matrices, or two calibrations, can be compared",
+        remedy="give two files of one kind; of a mirror in segments two calibrations",
+    )
+
+
+def compare_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison:
+    """Return what changed between two measured stiffness matrices of one mirror.
+
+    Raises
+    ------
+    CampaignMismatch
+        As of `compare`.
     """
     pair = pair_matrices(old, new)
     _refuse_processed(pair)
@@ -222,22 +239,6 @@ def compare(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison:
     )
     object.__setattr__(comparison, "findings", tuple(_findings(comparison, fit)))
     return comparison
-
-
-def table_suffix(path: str | os.PathLike[str]) -> str:
-    """Return whether a name ends in .csv or .ecsv.
-
-    Raises
-    ------
-    OutputFailed
-        It ends in neither.
-    """
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".csv", ".ecsv"):
-        raise OutputFailed(
-            "is no name for a table", remedy="let it end in .csv or .ecsv (with units)", path=path
-        )
-    return suffix
 
 
 def _halves(fit: PairFit) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.summary import row, verdict_lines
-from truenewton.comparison.compare import CHANGES, Comparison
+from truenewton.comparison.calibrations import Change
+from truenewton.comparison.compare import Comparison
 from truenewton.files.format import attributes, columns_by_name
 from truenewton.rounding import counted, named, percent, with_error
 
@@ -20,8 +21,11 @@ UNDETECTABLE = (
 )
 
 
-def lines(c: Comparison) -> Iterator[str]:
+def lines(c: Comparison | Change) -> Iterator[str]:
     """Yield what changed, the worst actuators, and whether the errors are valid."""
+    if isinstance(c, Change):
+        yield from _lines_of_calibrations(c)
+        return
     yield f"{c.instrument}: {counted(c.layout.n, 'actuator')} compared"
     yield row("common factor", with_error(c.common, c.common_error), "alpha times sensor gain")
     for name, changed, scatter, errors in (
@@ -43,6 +47,23 @@ def lines(c: Comparison) -> Iterator[str]:
     yield from _table(c)
     yield from verdict_lines(c.verdict)
     yield from (row("undetectable here", text) for text in UNDETECTABLE)
+
+
+def _lines_of_calibrations(c: Change) -> Iterator[str]:
+    """Yield what changed between two calibrations."""
+    compared = int(np.isfinite(c.sigmas).sum())
+    yield f"{c.one.instrument}: two calibrations, {counted(compared, 'actuator')} compared"
+    if not c.segments:
+        error = "its error is that of the weights" if np.isfinite(c.ratio_error) else ""
+        ratio = with_error(c.ratio, c.ratio_error) if error else f"{c.ratio:.4f}"
+        yield row("common factor", ratio, error)
+    ids = c.layout.id[c.changed].tolist()
+    limit = f"by more than {c.limit:.1f} sigma (1 % false alarms)"
+    yield row("alpha changed", named("actuator", ids, MAX_ROWS) if ids else "none", limit)
+    for k in c.changed[:MAX_ROWS]:
+        size, sigmas = 100 * c.relative[k], c.sigmas[k]
+        yield f"  {c.layout.id[k]:<12}{size:+.2f} %, {sigmas:+.1f} sigma"
+    yield "  Two stiffness matrices of the same days would show smaller changes, and those of sensors."
 
 
 def _matching(c: Comparison) -> Iterator[str]:
@@ -78,12 +99,20 @@ def _table(c: Comparison) -> Iterator[str]:
         yield f"  {c.layout.id[k]:<12}{alpha + marks[0]:<30}{gain + marks[1]}"
 
 
-def values(c: Comparison) -> dict[str, Any]:
+def values(c: Comparison | Change) -> dict[str, Any]:
     """Return the same for a script."""
+    columns = [each.name.lower() for each in c.COLUMNS.columns]
+    if isinstance(c, Change):
+        return {
+            "instrument": c.one.instrument,
+            **attributes(c, "ratio", "ratio_error", "limit"),
+            "actuators": columns_by_name(c, c.COLUMNS, *columns),
+            "changed": c.layout.id[c.changed],
+        }
     return {
         **attributes(c, "instrument", "common", "common_error", "alpha_scatter", "sensor_scatter"),
         **attributes(c, "noise_law", "relative_noise", "pattern"),
-        "actuators": columns_by_name(c, CHANGES, *(each.name.lower() for each in CHANGES.columns)),
+        "actuators": columns_by_name(c, c.COLUMNS, *columns),
         "couplings": [
             {"actuator": actuator, "sensor": sensor, "change": size}
             for actuator, sensor, size in c.couplings

@@ -11,13 +11,13 @@ import numpy as np
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.summary import MEANINGS, as_sentences, summary_rows
 from truenewton.calibration.verdict import without_unusable
+from truenewton.comparison.calibrations import Change
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
 from truenewton.records.cycle import Source
 from truenewton.records.parts import Parts, has_parts
-from truenewton.report.change import Change
 from truenewton.report.findings import Findings
 from truenewton.rounding import counted, named, percent, significant, with_error
 

@@ -30,6 +30,7 @@ from truenewton.calibration.summary import (
     rejected_values,
     summary_rows,
 )
+from truenewton.comparison.calibrations import Change
 from truenewton.estimation.findings.estimate import typical
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
@@ -50,7 +51,6 @@ from truenewton.modal.summary import (
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
 from truenewton.records.parts import Parts, has_parts
-from truenewton.report.change import Change
 from truenewton.report.figures import columns_of_shapes, findings_figures
 from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowResiduals
 from truenewton.report.page.views import Actuators, calibration_views, change_views, palette
@@ -91,7 +91,7 @@ def write_report(
 
     Examples
     --------
-    >>> tn.write_report("report.html", tn.change(calibration, warm))
+    >>> tn.write_report("report.html", tn.compare(calibration, warm))
     """
     with file_beside(path, overwrite=overwrite) as temporary:
         text = page(findings, command, edges)

@@ -34,6 +34,8 @@ from bokeh.plotting import figure
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration
+from truenewton.comparison.calibrations import Change
+from truenewton.figures.layers import Layer
 from truenewton.figures.maps import (
     bears_names,
     dot_radius,
@@ -47,9 +49,8 @@ from truenewton.figures.maps import (
 )
 from truenewton.figures.style import ACCENT, ALARM, CROWDED, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.records.parts import has_parts
-from truenewton.report.change import Change
 from truenewton.report.findings import Evidence
-from truenewton.report.layers import Layer, calibration_layers, segment_layers
+from truenewton.report.layers import calibration_layers, segment_layers
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
 

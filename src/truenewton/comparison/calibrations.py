@@ -3,26 +3,61 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
+from astropy.table import QTable
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.chance import FALSE_ALARM, normal_isf
-from truenewton.errors import CampaignMismatch, RankDeficient
+from truenewton.errors import CampaignMismatch, OutputFailed, RankDeficient
 from truenewton.estimation.findings.estimate import Scale, typical
+from truenewton.figures.layers import Layer
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
 from truenewton.figures.style import ACCENT, FAINT, on_screen, styled_axes
+from truenewton.files.format import Column, TableFormat, quantities
+from truenewton.files.outputs import file_beside
+from truenewton.records.file import ID, X, Y
 from truenewton.records.parts import Parts, has_parts
-from truenewton.report.layers import Layer, alpha_layer
+from truenewton.statics.layout import Layout
+
+
+class Tabulated:
+    """A comparison whose columns are declared in ``COLUMNS``."""
+
+    COLUMNS: ClassVar[TableFormat]
+
+    @property
+    def table(self) -> QTable:
+        """The changes of all actuators, with units."""
+        return quantities(self, self.COLUMNS)
+
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the table of changes; the name ends in .csv, or in .ecsv, which contains units.
+
+        Raises
+        ------
+        OutputExists, OutputFailed
+        """
+        suffix, table = Path(path).suffix.lower(), self.table
+        if suffix not in (".csv", ".ecsv"):
+            remedy = "let it end in .csv or .ecsv"
+            raise OutputFailed("is no name for a table", remedy=remedy, path=path)
+        for column in table.itercols():
+            column.info.format = None  # all digits
+        with file_beside(path, overwrite=overwrite) as temporary:
+            table.write(temporary, format=f"ascii{suffix}")
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class Change(Tabulated):
     """From one calibration to another, what is common to all actuators taken out.
 
     Attributes
@@ -42,6 +77,11 @@ class Change:
         Of a mirror in several segments the change of each that has alpha in both, by its number.
     """
 
+    COLUMNS: ClassVar = TableFormat(
+        "CHANGE",
+        (ID, X, Y, Column("CHANGE", "relative"), Column("SIGMAS", "sigmas")),
+    )
+
     one: AnyCalibration
     other: AnyCalibration
     ratio: float
@@ -50,6 +90,11 @@ class Change:
     sigmas: Array
     limit: float
     segments: Mapping[int, Change] = field(default_factory=dict)
+
+    @property
+    def layout(self) -> Layout:
+        """The actuators."""
+        return self.one.layout
 
     @property
     def changed(self) -> NDArray[np.int64]:
@@ -70,18 +115,23 @@ class Change:
                   signed=True, reach=reach),
             Layer("relative", "change", "%", 100 * self.relative,
                   "Change of alpha beside the common ratio.", signed=True),
-            alpha_layer(self.one, "alpha_one", "alpha, first"),
-            alpha_layer(self.other, "alpha_other", "alpha, second"),
+            *(
+                Layer(key, name, "true N / commanded N", c.column("alpha"),
+                      "True Newton per commanded Newton, with its total error (E_ALPHA).",
+                      c.column("error"))
+                for key, name, c in (("alpha_one", "alpha, first", self.one),
+                                     ("alpha_other", "alpha, second", self.other))
+            ),
         )  # fmt: skip
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas on the map of the actuators; return the axes."""
         with on_screen():
-            return self.layers[0].plot(self.one.layout, ax)
+            return self.layers[0].plot(self.layout, ax)
 
     def plot_actuators(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas, ring by ring, and how far chance reaches; return the axes."""
-        layout = self.one.layout
+        layout = self.layout
         with on_screen(), styled_axes(ax, 0.75) as ax:
             numbers = numbers_by_ring(layout)
             ax.axhspan(-self.limit, self.limit, color=FAINT, alpha=0.2, linewidth=0)
@@ -95,7 +145,7 @@ class Change:
         return ax
 
 
-def change(one: AnyCalibration, other: AnyCalibration) -> Change:
+def compare_calibrations(one: AnyCalibration, other: AnyCalibration) -> Change:
     """Compare two calibrations of one mirror; of several segments each by itself.
 
     With r the median of alpha'/alpha, the change of actuator i is alpha'_i / r - alpha_i, with the
@@ -113,12 +163,6 @@ def change(one: AnyCalibration, other: AnyCalibration) -> Change:
         The calibrations are not of the same actuators.
     RankDeficient
         No segment has alpha in both.
-
-    Examples
-    --------
-    >>> moved = tn.change(calibration, warm)
-    >>> f"{moved.ratio:.2f}, and beside it {len(moved.changed)} actuators"
-    '0.99, and beside it 0 actuators'
     """
     if has_parts(one) and has_parts(other):
         return _change_of_segments(one, other)
@@ -168,7 +212,7 @@ def _change_of_segments(one: Parts[Calibration], other: Parts[Calibration]) -> C
             remedy="compare two calibrations of one mirror",
         )
     parts = {
-        number: change(one.found[number], other.found[number])
+        number: compare_calibrations(one.found[number], other.found[number])
         for number in one.numbers
         if number in one.found and number in other.found
     }
