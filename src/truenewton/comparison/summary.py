@@ -16,8 +16,8 @@ from truenewton.rounding import counted, named, percent, with_error
 MAX_ROWS = 12  # of the table of actuators; the file contains all
 MAX_COUPLINGS = 5
 UNDETECTABLE = (
-    "a local change of the glass: a patch that becomes 1 % stiffer looks like 0.1 % of alpha",
-    "the separate means of alpha and of the sensor gains: only their product is determined",
+    "a patch of glass that becomes 1 % stiffer looks like 0.1 % of alpha",
+    "the mean change of alpha and that of the sensor gains: only their product",
 )
 
 
@@ -32,11 +32,10 @@ def lines(c: Comparison | Change) -> Iterator[str]:
         ("alpha", c.alpha_changed, c.alpha_scatter, c.alpha_ratio_error),
         ("sensor gain", c.sensor_changed, c.sensor_scatter, c.sensor_ratio_error),
     ):
-        what = named("actuator", c.layout.id[changed].tolist(), MAX_ROWS) if changed.any() else ""
-        others = f"the others scatter by {percent(scatter)}, each known to"
-        yield row(
-            f"{name} changed", what or "none", f"{others} {percent(float(np.median(errors)))}"
-        )
+        count = counted(int(changed.sum()), "actuator") if changed.any() else "none"
+        error = percent(float(np.median(errors)))
+        others = f"the others scatter by {percent(scatter)}, each known to {error}"
+        yield row(f"{name} changed", count, others)
     for actuator, sensor, size in c.couplings[:MAX_COUPLINGS]:
         where = f"actuator {actuator}, sensor {sensor}"
         yield row("coupling changed", where, f"{percent(size)} of the diagonal")
@@ -46,7 +45,7 @@ def lines(c: Comparison | Change) -> Iterator[str]:
     yield from _matching(c)
     yield from _table(c)
     yield from verdict_lines(c.verdict)
-    yield from (row("undetectable here", text) for text in UNDETECTABLE)
+    yield from (f"  undetectable here: {text}" for text in UNDETECTABLE)
 
 
 def _lines_of_calibrations(c: Change) -> Iterator[str]:
@@ -57,13 +56,14 @@ def _lines_of_calibrations(c: Change) -> Iterator[str]:
         error = "its error is that of the weights" if np.isfinite(c.ratio_error) else ""
         ratio = with_error(c.ratio, c.ratio_error) if error else f"{c.ratio:.4f}"
         yield row("common factor", ratio, error)
-    ids = c.layout.id[c.changed].tolist()
-    limit = f"by more than {c.limit:.1f} sigma (1 % false alarms)"
-    yield row("alpha changed", named("actuator", ids, MAX_ROWS) if ids else "none", limit)
+    changed = counted(c.changed, "actuator") if c.changed.size else "none"
+    yield row("alpha changed", changed, f"by more than {c.limit:.1f} sigma (1 % false alarms)")
     for k in c.changed[:MAX_ROWS]:
         size, sigmas = 100 * c.relative[k], c.sigmas[k]
         yield f"  {c.layout.id[k]:<12}{size:+.2f} %, {sigmas:+.1f} sigma"
-    yield "  Two stiffness matrices of the same days would show smaller changes, and those of sensors."
+    if len(c.changed) > MAX_ROWS:
+        yield f"  and {len(c.changed) - MAX_ROWS} more"
+    yield "  Two stiffness matrices would show smaller changes, and those of the sensors."
 
 
 def _matching(c: Comparison) -> Iterator[str]:

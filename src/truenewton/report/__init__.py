@@ -1,7 +1,6 @@
 """The report: a calibration, and the evidence for it.
 
 findings  `investigate`: a calibration, its evidence and modal base, or why there is none
-change    what changed between two calibrations
 verdict   the verdict with three numbers, and advice
 layers    the quantities of each actuator, for maps and tables
 figures   figures of the evidence, for papers and the page
