@@ -55,7 +55,6 @@ from truenewton.statics.arms import arms_in_units_of_rms
 
 MIN_VARIANCE_RATIO = 100.0  # variance of a typical reading over shapes, in units of its noise
 MIN_RELATIVE_CHANGE = 0.03  # of a typical change, if the noise is unknown
-STUCK_CHANGE = 1e-9  # of a typical reading: it does not change at all
 MAX_ALPHA_SIGMAS = 3.0  # from 0, of an alpha that is 0
 WELL_KNOWN_ERROR = 0.1  # error of an alpha relative to the typical alpha
 
@@ -65,7 +64,6 @@ MIN_LOG_GAIN_OF_ORDER = np.log(1.5)  # mean gain of the elements in a better ord
 
 MIN_SHAPE_TO_NOISE = 2.0  # weakest elastic shape in units of its noise
 HOME_SPACING_FRACTION = 0.1  # of the spacing of the actuators: nearer, they are at their positions
-MAX_COORDINATE = 10.0  # in units of the rms coordinate; all positions beyond are equally bad
 MIN_DISTANCE_RATIO = 3.0  # distance from its own position relative to the typical residual
 MAX_ALPHA_FACTOR = 10.0  # between the alphas of a valid fit
 MAX_CHI2_RATIO = 0.25  # of chi^2, if the noise is unknown
@@ -138,7 +136,8 @@ def constant_actuators(campaign: Campaign, moments: Moments, noise: Noise) -> tu
     freedom, change = moments.groups - loads, np.sqrt(square / weight.sum())
     if freedom < 1:
         return ()
-    stuck = change <= STUCK_CHANGE * np.sqrt(np.mean(change**2 + statics**2))
+    # Rounding of a reading that does not change at all, relative to a typical one.
+    stuck = change <= 1e-9 * np.sqrt(np.mean(change**2 + statics**2))
     if stuck.all():
         fault = "FORCE is the same for all shapes"
         remedy = "record the forces commanded for each shape, once the mirror has settled"
@@ -340,8 +339,9 @@ def _settled(seen: Array, arms: Array, order: NDArray[np.int64]) -> tuple[Array,
     """Return (n, n) distances of inferred positions from positions, and the order that results."""
     places = (arms[1:] / arms[0]).T
     for _ in range(10):
+        # All positions beyond 10 times the rms coordinate are equally bad.
         distance = np.linalg.norm(projected(seen, arms[:, order])[:, None] - places, axis=2)
-        before, order = order, assignment(np.minimum(distance, MAX_COORDINATE) ** 2)
+        before, order = order, assignment(np.minimum(distance, 10.0) ** 2)
         if np.array_equal(order, before):
             break
     return distance, order

@@ -135,9 +135,6 @@ class Minimum:
     iterations: int  # number of steps
 
 
-MAX_ALPHA = 1e6  # of alpha, true over commanded force
-
-
 @dataclass(frozen=True, eq=False)
 class _Terms:
     """The sums at one point: twice the objective, gradient, H without the prior, and D.
@@ -325,7 +322,7 @@ def _minimum(
     the scores g move theta by H_tt^-1 g_t - T C (g_u - T' g_t), C = (1 + M_uu - M_ut T)^-1.
     """
     n, t = len(terms.noise_information.diagonal), len(values) - prior.measured
-    if factor is None or np.abs(values[:n]).max() > MAX_ALPHA:  # where weights count for nothing
+    if factor is None or np.abs(values[:n]).max() > 1e6:  # where weights count for nothing
         raise _no_more_than_noise()
     inverse = inverse_of_factor(factor[:t, :t])
     m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
@@ -418,7 +415,6 @@ def gram_of_e(a: Array, part: DataSet) -> Array:
 # -- alpha as a sample of one population ---------------------------------------------------------
 
 MIN_SMOOTH_ACTUATORS = 100  # enough to leave smooth patterns of the fourth degree free
-MIN_POPULATION_SPREAD = 1e-3  # coils and magnets scatter by more than that
 
 
 def smooth_patterns(a: Array) -> Array:
@@ -487,7 +483,6 @@ def likeliest_spread(
         total = np.exp(2.0 * log_spread) + variance
         return float(np.sum(np.log(total) + y**2 / total))
 
-    found = scipy.optimize.minimize_scalar(
-        cost, bounds=(np.log(MIN_POPULATION_SPREAD), 0.0), method="bounded"
-    )
+    # Coils and magnets scatter by more than 0.1 %.
+    found = scipy.optimize.minimize_scalar(cost, bounds=(np.log(1e-3), 0.0), method="bounded")
     return float(np.exp(found.x))

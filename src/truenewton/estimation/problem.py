@@ -33,7 +33,6 @@ from truenewton.estimation.likelihood import DataSet, Minimum, Prior, minimise, 
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.modes import likeliest, mode_data
 from truenewton.estimation.paper.equations import (
-    MEDIAN_CHI2,
     Unknowns,
     imbalance_covariance,
     squared_distances,
@@ -146,7 +145,7 @@ def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
     start = start_values(problem.a, problem.data(moments), problem.prior)
     # From the median, and rather too small: bad rows shall not swell it, lest D outgrow M.
     distance = problem.distances(start, moments)[moments.rows > 0]
-    size = 0.25 * float(np.median(distance)) / MEDIAN_CHI2
+    size = 0.25 * float(np.median(distance)) / chi2_ppf(0.5, 3)
     variance = problem.noise.variance * max(size, 1.0)
     return replace(problem, noise=replace(problem.noise, variance=variance))
 
@@ -202,8 +201,6 @@ def with_noise_from_minimum(
     return problem, minimum
 
 
-CORE_FRACTION = 0.75  # of the shapes, of the robust start
-START_DEVIATIONS = 10.0  # median deviations, 6.7 sigma: for a start only
 MAX_OUTLYING_FRACTION = 0.12  # of the groups may be accidents
 
 
@@ -260,7 +257,7 @@ def _within(
             raise
     for _ in range(5):
         distance = _fitted(problem, chosen_groups(moments, core), moments)[1]
-        core = distance <= np.quantile(distance, CORE_FRACTION)
+        core = distance <= np.quantile(distance, 0.75)
     belongs, passes = distance <= limit, 1
     while True:
         refuse_too_many(int(np.count_nonzero(~belongs)), len(belongs))
@@ -282,7 +279,7 @@ def _fitted(problem: Problem, groups: Moments, moments: Moments) -> tuple[Fitted
     scaled = roughly_scaled(problem, groups)
     minimum = scaled.fitted(groups)
     distance = scaled.distances(minimum.values, moments)
-    spread = float(np.median(distance)) / MEDIAN_CHI2
+    spread = float(np.median(distance)) / chi2_ppf(0.5, 3)
     least = 1e-300 if problem.noise.source == NoiseSource.MINIMUM else 1.0
     return (scaled, minimum), distance / max(spread, least)
 
@@ -308,7 +305,7 @@ def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
             typical = np.median(static, axis=0)
             static /= np.maximum(typical, rounding)
             np.maximum(furthest, static.max(axis=1), out=furthest)
-        strange = pair[furthest > START_DEVIATIONS]
+        strange = pair[furthest > 10.0]  # median deviations, 6.7 sigma: for a start only
         alike[strange] = alike[strange + 1] = False
     return alike
 

@@ -42,7 +42,6 @@ WITHIN_GROUPS = {
 }
 MIN_FILES = 3  # files that effects by file need
 MAX_AFFECTED_FRACTION = 0.1  # of the actuators: if more stand out, it is no effect of single ones
-ACTUATORS_AT_ONCE = 64  # actuators whose parameters are judged together
 
 
 @dataclass(frozen=True)
@@ -275,8 +274,8 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
 def parts_of_positions(fit: FittedRows) -> Iterator[Derivative]:
     """Yield the derivatives by the positions of a few actuators at a time."""
     n = fit.problem.n
-    for start in range(0, n, ACTUATORS_AT_ONCE):
-        yield positions(fit, slice(start, min(start + ACTUATORS_AT_ONCE, n)))
+    for start in range(0, n, 64):  # rows of all are as large as the readings
+        yield positions(fit, slice(start, min(start + 64, n)))
 
 
 def on_balance(fit: FittedRows, change: Array) -> Derivative:

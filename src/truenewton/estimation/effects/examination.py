@@ -56,9 +56,6 @@ MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any i
 MAX_REDUCED_CHI2 = 2.0  # chi^2 over degrees of freedom that unknown forces, not normal, may leave
 MIN_SEEN_SPREAD = 0.5  # of tau^2: the part of a spread of zeros that the data must contain
 SIMILAR_LOG_PROBABILITY = 0.85  # of the log of the smallest probability: similarly likely effects
-MAX_CORRECTED_PARAMETERS = 10_000  # a matrix of which takes 0.8 GB, and several are needed
-SETTLED_SQUARED_STEP = 1e-4  # squared step in standard errors at which theta has converged
-MAX_CORRECTION_STEPS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -468,14 +465,15 @@ class Correction:
 def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     """Estimate an effect together with alpha; None if it does not converge, or is too large."""
     first = effect.derivative(fit)
-    if first is None or first.count > MAX_CORRECTED_PARAMETERS:
+    # A matrix of 10,000 parameters takes 0.8 GB, and several are needed.
+    if first is None or first.count > 10_000:
         return None
     result, theta = scored(fit, first), np.zeros(first.count)
     # A first spread from the score itself: U U' = V of the effect, on the average.
     size = np.trace(result.variance) / np.sum(result.variance**2)
     tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
     at, derivative, settled = fit, first, False
-    for _ in range(MAX_CORRECTION_STEPS):
+    for _ in range(30):
         information = result.information + np.eye(len(theta)) / tau2
         try:  # an effect without any size does not converge
             factor = scipy.linalg.cho_factor(0.5 * (information + information.T))
@@ -484,7 +482,8 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
         inverse = scipy.linalg.cho_solve(factor, np.eye(len(theta)))
         uphill = result.score + theta / tau2
         effective_parameters = float(np.sum(1.0 - np.diag(inverse) / tau2))
-        if settled and float(uphill @ inverse @ uphill) < SETTLED_SQUARED_STEP:
+        # Theta has converged if its step is below 0.01 standard errors.
+        if settled and float(uphill @ inverse @ uphill) < 1e-4:
             minimum = with_error(at.minimum, result.moves, inverse)
             return Correction(theta, inverse, effective_parameters, at.problem, at.moments, minimum)
         theta = theta - inverse @ uphill

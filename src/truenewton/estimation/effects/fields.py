@@ -33,7 +33,6 @@ from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
 
 CHANCE_OF_ANY_ACTUATOR = 1e-2 * OF_EACH_KIND  # that any actuator of a sound mirror is chosen
-MIN_DIRECTION_INFORMATION = 1e-4  # of the largest information: directions that the data constrain
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,7 +358,7 @@ def _removed(
 def chi2_of_each(score: Array, information: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return (n,) chi^2 of (K, n) scores of (K, K, n) information, and their freedom."""
     values, vectors = np.linalg.eigh(np.moveaxis(information, 2, 0))
-    held = values > MIN_DIRECTION_INFORMATION * values.max()
+    held = values > 1e-4 * values.max()  # directions that the data constrain
     along = np.einsum("nab,an->nb", vectors, score)
     each = np.where(held, along**2 / np.where(held, values, 1.0), 0.0)
     return np.sum(each, axis=1), np.count_nonzero(held, axis=1)

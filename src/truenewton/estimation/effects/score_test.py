@@ -49,10 +49,6 @@ from truenewton.estimation.screening.noise import independent_readings
 
 MAX_EXACT_PARAMETERS = 30  # whose V is inverted
 MAX_PARAMETERS_PER_ACTUATOR = 2  # beyond which only the residual of the means is used
-MIN_INFORMATION_SHARE = 1e-6  # of the information if all else were known
-# The same if readings share noise: c^ is uncorrelated with rho only if rho contains no noise of the
-# readings, and the correlation biases scores in directions on which there is little information.
-MIN_SHARE_WITH_SHARED_NOISE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +100,12 @@ def _derivatives(fit: FittedRows) -> Iterator[tuple[Effect, Derivative]]:
 
 
 def _least_share(fit: FittedRows) -> float:
-    return MIN_SHARE_WITH_SHARED_NOISE if np.any(fit.problem.disturbance) else MIN_INFORMATION_SHARE
+    """Return the least information of a direction that is tested, relative to all else known.
+
+    More if readings share noise: c^ is uncorrelated with rho only if rho contains no noise of the
+    readings, and the correlation biases scores in directions on which there is little information.
+    """
+    return 1e-2 if np.any(fit.problem.disturbance) else 1e-6
 
 
 def surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
@@ -142,7 +143,7 @@ def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTe
     v = result.variance[np.ix_(seen, seen)] * unit[:, None] * unit
     if len(u) <= MAX_EXACT_PARAMETERS:
         values, vectors = np.linalg.eigh(v)
-        held = values > max(1e2 * MIN_INFORMATION_SHARE * values[-1], least)
+        held = values > max(1e-4 * values[-1], least)
         if not held.any():
             return None
         statistic = float(np.sum((vectors[:, held].T @ u) ** 2 / values[held]))

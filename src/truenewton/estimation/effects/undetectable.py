@@ -32,13 +32,12 @@ from truenewton.estimation.findings.estimate import (
 from truenewton.estimation.likelihood import Minimum
 from truenewton.records.campaign import load_temperatures
 
-MAX_ACTUATORS_BY_COIL = 2000  # with a parameter of each coil: more do not fit into memory
 MIN_REMAINING_SIZE = 0.1  # of the usual size, below which the data determine an effect
 
 
 def static_gain(fit: FittedRows) -> Derivative | None:
     """Return coil gains that differ by 1 % between elastic forces and those at rest."""
-    if fit.problem.n > MAX_ACTUATORS_BY_COIL:
+    if fit.problem.n > 2000:  # with a parameter of each coil, more do not fit into memory
         return None
     moments = fit.moments
     of_load = moments.of_load * moments.weight[:, None]

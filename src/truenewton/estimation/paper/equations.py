@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.chance import chi2_ppf
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import effective_weight, external_load
 from truenewton.statics.load import Load
@@ -138,9 +137,6 @@ def load_force(campaign: Campaign, load_index: int) -> Array:
     """Return (N, n_enabled) commanded forces of the valid rows under one load [N]."""
     key = campaign.loads[load_index].key
     return np.vstack([cycle.used_force for cycle in campaign.cycles if cycle.load.key == key])
-
-
-MEDIAN_CHI2 = chi2_ppf(0.5, 3)  # of the squared distance of an imbalance
 
 
 def imbalance_covariance(scaled_arms: Array, variance: Array) -> Array:

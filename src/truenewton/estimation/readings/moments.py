@@ -167,9 +167,6 @@ def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) 
     return Pooling(scipy.sparse.hstack(parts, format="csr"), weight)
 
 
-QUARTILE = normal_isf(0.25)  # median of |z|
-
-
 @dataclass(frozen=True, eq=False)
 class WithinGroups:
     """Differences of the rows of one group by file and by hour, files + 1 functions h of a row.
@@ -336,7 +333,7 @@ class Moments:
                 continue
             ratios = np.sum(first * other, axis=1)[moved] / square[moved]
             ratio = float(np.median(ratios))  # a file may contain wrong shapes
-            spread = float(np.median(np.abs(ratios - ratio))) / QUARTILE
+            spread = float(np.median(np.abs(ratios - ratio))) / normal_isf(0.25)  # median of |z|
             variance[load_index] = 0.5 * np.pi * spread**2 / len(ratios)
             if abs(ratio - 1.0) > 4 * np.sqrt(variance[load_index]):
                 size[load_index] = ratio

@@ -42,8 +42,6 @@ from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms
 
-MAX_DISPLACED_MEANS = 2**24  # means of displacements that are taken
-SAMPLE_ROWS = 1000  # whose deviations are kept: they give a variance of three degrees to 3 %
 HOURS = -1  # key of the sums by hour among those by file
 
 FileSums = dict[int, Array]
@@ -114,7 +112,8 @@ class RepeatSums:
         """
         campaign, turn = self.campaign, np.argsort(self._coming)
         a, weights, hour = enabled_arms(campaign.layout), row_weights(campaign), row_hours(campaign)
-        stride = max(1, sum(map(len, groups)) // SAMPLE_ROWS)
+        # Deviations of 1000 rows are kept: they give a variance of three degrees to 3 %.
+        stride = max(1, sum(map(len, groups)) // 1000)
         for k, (cycle, group) in enumerate(zip(campaign.cycles, groups, strict=True)):
             balanced = balanced_rows(cycle, a, self._reference)
             balanced = replace(balanced, enabled=campaign.layout.enabled)  # one array for all files
@@ -217,9 +216,9 @@ class RepeatSums:
     def displacement(self) -> Array | None:
         """Return (g, n) mean displacements of the groups in their order [m]; None without POSITION.
 
-        None also beyond `MAX_DISPLACED_MEANS` values: reading them takes as long as reading FORCE.
+        None also beyond 2^24 values: reading them takes as long as reading FORCE.
         """
-        zeros = rest_positions(self.campaign) if self._mean.size <= MAX_DISPLACED_MEANS else None
+        zeros = rest_positions(self.campaign) if self._mean.size <= 2**24 else None
         if zeros is None:
             return None
         positions = [cycle.position for cycle in self.campaign.cycles if cycle.position is not None]

@@ -18,9 +18,6 @@ import numpy as np
 
 from truenewton.arrays import Array
 
-FINEST_STEP = 1e-6  # of the largest reading: finer steps are rounding of the computer
-EXACT_MULTIPLE, NEAR_MULTIPLE = 0.02, 0.1  # tolerance of multiples, final and preliminary [steps]
-MIN_STEP_READINGS, MIN_STEP_GAPS = 12, 8  # readings, and gaps between them, that a step needs
 _SIGMA = np.linspace(0.0, 1.0, 101)  # of a step
 _K = np.arange(1, 200)[:, None]
 _HIDDEN = np.sum(np.exp(-((2 * np.pi * _K * _SIGMA) ** 2)) / (2 * (np.pi * _K) ** 2), axis=0)
@@ -37,24 +34,23 @@ def rounding_steps(readings: Sequence[Array]) -> Array:
     readings
         (n,) of some shapes [N].
     """
-    if len(readings) < MIN_STEP_READINGS:
+    if len(readings) < 12:  # too few gaps to recognise a step
         return np.zeros(len(readings[0]) if readings else 0)
     ordered = np.sort(readings, axis=0)
     apart = ordered[1:] - ordered[0]
-    finest = FINEST_STEP * np.maximum(np.abs(readings).max(axis=0), 1e-300)
+    # Finer steps are rounding of the computer.
+    finest = 1e-6 * np.maximum(np.abs(readings).max(axis=0), 1e-300)
     gaps = np.diff(ordered, axis=0)
     gaps = np.sort(np.where(gaps > finest, gaps, np.inf), axis=0)
     step = np.where(np.isfinite(gaps[0]), gaps[0], 0.0)
-    for gap in gaps[1:MIN_STEP_GAPS]:
+    for gap in gaps[1:8]:
         other = np.where(np.isfinite(gap), gap, 0.0)
         while (other > finest).any():
             ended, rest = other <= finest, np.abs(_off(step, other))
             step, other = np.where(ended, step, other), np.where(ended, 0.0, rest)
     for span in np.sort([*gaps, *apart], axis=0):
         count = np.round(np.divide(span, step, out=np.zeros_like(span), where=step > finest))
-        multiple = (
-            (count > 0) & np.isfinite(span) & (np.abs(_off(span, step)) <= NEAR_MULTIPLE * step)
-        )
+        multiple = (count > 0) & np.isfinite(span) & (np.abs(_off(span, step)) <= 0.1 * step)
         step = np.divide(span, count, out=step.copy(), where=multiple)
     step = _exact(step, apart, finest)
     if (step > 0.0).any():  # converters are usually of one type
@@ -66,7 +62,7 @@ def rounding_steps(readings: Sequence[Array]) -> Array:
 
 def _exact(step: Array, apart: Array, finest: Array) -> Array:
     """Return (n,) steps, 0 if (m, n) distances are no multiples of them."""
-    exact = (np.abs([_off(span, step) for span in apart]) <= EXACT_MULTIPLE * step).all(axis=0)
+    exact = (np.abs([_off(span, step) for span in apart]) <= 0.02 * step).all(axis=0)
     return np.where(exact & (step > finest), step, 0.0)
 
 

@@ -56,16 +56,12 @@ def read_rows(campaign: Campaign, readers: Sequence[RowReader]) -> None:
                 take(block)
 
 
-PRINTED_LABELS = 48  # labels of which prints are taken
-KEPT_LABELS = 16  # labels of each file whose rows are kept
-
-
 def common_labels(codes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Return (m,) some of the labels that all files have, given (N,) those of the rows of each."""
-    return _some(reduce(np.intersect1d, codes), KEPT_LABELS)
+    return _some(reduce(np.intersect1d, codes))
 
 
-def _some(labels: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+def _some(labels: NDArray[np.int64], most: int = 16) -> NDArray[np.int64]:
     """Return at most so many of (m,) labels, evenly from the first to the last."""
     last = len(labels) - 1
     return labels[np.unique(np.linspace(0, last, most if last >= 0 else 0).astype(np.int64))]
@@ -96,8 +92,8 @@ class RowPrints:
     """
 
     def __init__(self, codes: NDArray[np.int64]) -> None:
-        self.labels = _some(np.unique(codes), PRINTED_LABELS)
-        self._kept = {*_some(self.labels, KEPT_LABELS).tolist()}
+        self.labels = _some(np.unique(codes), 48)
+        self._kept = {*_some(self.labels).tolist()}  # rows of each file that are kept
         self._before = dict[int, Array]()
         self.taken: dict[tuple[int, int], bytes] = {}
         self._run: dict[int, NDArray[np.int64]] = {}

@@ -21,7 +21,6 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
-MAX_SHAPE_CODE = 2**40  # of SHAPE, so that a code of load, SHAPE and SIGN fits into 64 bits
 
 Selection = slice | NDArray[np.int64]
 """Some rows of a cycle."""
@@ -188,7 +187,8 @@ def row_groups(
     ]
     whole, ends = np.concatenate(names), np.cumsum([len(name) for name in names])[:-1]
     span = int(whole[:, 1].max()) + 1
-    if span > MAX_SHAPE_CODE:  # shapes may be numbered at will
+    # Shapes may be numbered at will; a code of load, SHAPE and SIGN has to fit into 64 bits.
+    if span > 2**40:
         _, first, group = np.unique(whole, axis=0, return_index=True, return_inverse=True)
     else:
         codes = 2 * (span * whole[:, 0] + whole[:, 1]) + (whole[:, 2] > 0)

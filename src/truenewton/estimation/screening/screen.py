@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.chance import OF_EACH_KIND, t_isf
+from truenewton.chance import OF_EACH_KIND, normal_isf, t_isf
 from truenewton.cluster import Client
 from truenewton.errors import FormatError, TooManyOutliers, TrueNewtonError
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding, about_actuators
-from truenewton.estimation.readings.moments import QUARTILE, Moments
+from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.readings.repeats import RepeatSums
 from truenewton.estimation.readings.row_readers import RowPrints
 from truenewton.estimation.screening.hypotheses import (
@@ -256,7 +256,7 @@ def _robust(samples: Sequence[Array]) -> Array:
     ordered = np.sort(np.abs(some))  # faster than np.median
     count = ordered.shape[1]
     middle = slice((count - 1) // 2, count // 2 + 1)
-    return np.asarray(ordered[:, middle].mean(axis=1) / QUARTILE)
+    return np.asarray(ordered[:, middle].mean(axis=1) / normal_isf(0.25))  # median of |z|
 
 
 def refuse_too_many(rejected: int, rows: int) -> None:
