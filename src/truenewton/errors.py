@@ -1,7 +1,6 @@
 """All errors: each states in one line what is wrong, where, and what to do.
 
-The parts of the sentence are attributes (``path``, ``fault``, ``remedy``, ``got``, ``want``), for
-programs.
+The parts of the sentence are attributes (``path``, ``fault``, ``remedy``), for programs.
 """
 
 from __future__ import annotations
@@ -27,8 +26,6 @@ class TrueNewtonError(Exception):
         What to do about it.
     path
         The file or folder concerned, if any.
-    got, want
-        The offending value and what was expected instead, if known.
 
     Examples
     --------
@@ -39,23 +36,14 @@ class TrueNewtonError(Exception):
     nowhere.fits | cannot be read (No such file or directory)
     """
 
-    def __init__(
-        self,
-        fault: str,
-        *,
-        remedy: str = "",
-        path: object = None,
-        got: Any = None,
-        want: Any = None,
-    ) -> None:
+    def __init__(self, fault: str, *, remedy: str = "", path: object = None) -> None:
         self.fault, self.remedy, self.path = fault, remedy, path
-        self.got, self.want = got, want
         where = f"{path}: " if path is not None else ""
         then = f"; {remedy}" if remedy else ""
         super().__init__(printable(f"{where}{fault}{then}"))
 
     def changed(self, **parts: Any) -> Self:
-        """Return a copy with some of fault, remedy, path, got and want changed."""
+        """Return a copy with some of fault, remedy and path changed."""
         return type(self)(**{**vars(self), **parts})
 
 

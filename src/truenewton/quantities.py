@@ -56,8 +56,6 @@ class Quantity:
                 raise FormatError(
                     self.fault.format(number) if self.fault else f"{name} is {shown}",
                     remedy=self._remedy(number),
-                    got=value,
-                    want=(self.low, self.high),
                 )
 
     def _remedy(self, number: float) -> str:
@@ -190,4 +188,4 @@ def unit_of(value: Any) -> Any:
 def other_unit(name: str, has: str, want: str) -> FormatError:
     """Return the error of a value in a unit that does not convert to the one wanted."""
     remedy = f"give it in {want} or a unit that converts to it" if want else "give plain numbers"
-    return FormatError(f"{name.upper()} is in {has}", remedy=remedy, got=has, want=want)
+    return FormatError(f"{name.upper()} is in {has}", remedy=remedy)

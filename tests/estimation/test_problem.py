@@ -151,7 +151,6 @@ def test_too_many_bad_rows_are_refused_with_their_number():
     bad, _ = spiked(campaign, 0.4, 13, low=0.05, high=0.2)
     with pytest.raises(TooManyOutliers) as refused:
         calibrate(bad)
-    assert refused.value.want == pytest.approx(0.3)
     assert f"of {8 * 28} rows" in refused.value.fault
 
 

@@ -182,9 +182,8 @@ def test_rigid_motions_that_no_shape_holds_cost_no_force():
 def test_elastic_motions_that_no_shape_holds_are_refused():
     _, campaign = quiet()
     fewer = tuple(replace(c, valid=~np.isin(c.shape, (2, 10, 40))) for c in campaign.cycles)
-    with pytest.raises(RankDeficient, match="2 of 42 elastic motions are missing") as refused:
+    with pytest.raises(RankDeficient, match="2 of 42 elastic motions are missing"):
         measured_stiffness(Campaign(fewer))
-    assert (refused.value.got, refused.value.want) == (40, 42)
     single = tuple(replace(c, valid=(c.sign > 0) & (c.shape != 20)) for c in campaign.cycles)
     with pytest.raises(RankDeficient, match="both signs"):
         measured_stiffness(Campaign(single))

@@ -321,7 +321,6 @@ def refuse_other_plan(
         f"was begun with another plan: {', '.join(changed[:MAX_LINES_SHOWN])}{more}",
         remedy=f"take the plan back ({PLAN} in the folder has it), or give another folder",
         path=folder,
-        got="\n".join(lines),
     )
 
 

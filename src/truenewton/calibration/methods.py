@@ -353,7 +353,7 @@ def resolve_method(
         ),
     ):
         if wrong:
-            raise UnknownName(fault, remedy=remedy, got=method)
+            raise UnknownName(fault, remedy=remedy)
     # Each segment is calibrated by a call of its own, with its own motion.
     return method, Options(population, None if isinstance(motion, Mapping) else motion)
 
@@ -489,7 +489,6 @@ def require_known(layout: Layout, ids: Collection[int]) -> None:
         raise UnknownName(
             f"there is no {named('actuator', unknown, 5)} to exclude",
             remedy=f"IDs run from {layout.id.min()} to {layout.id.max()}",
-            got=unknown,
         )
 
 

@@ -286,7 +286,8 @@ def _suggesting_mirror() -> Iterator[None]:
         yield
     except NoPositions as error:
         sizes = {make().layout.n: name for name, make in KNOWN.items()}
-        n = min((n for n in sizes if error.got <= n <= MAX_SIZE_RATIO * error.got), default=0)
+        need = error.actuators
+        n = min((n for n in sizes if need <= n <= MAX_SIZE_RATIO * need), default=0)
         if not n:
             raise
         remedy = f"{error.remedy}; --mirror {sizes[n]} has {n} actuators"

@@ -301,13 +301,11 @@ def _refuse_processed(pair: Pair) -> None:
         raise CampaignMismatch(
             "one of the two matrices was computed from the other: they differ by less than noise",
             remedy="give two matrices that were measured independently",
-            got=residual,
         )
     if residual > MAX_RESIDUAL:
         raise CampaignMismatch(
             f"the two matrices differ by {100 * residual:.0f} % beyond factors of rows and columns",
             remedy="give two complete matrices of one mirror",
-            got=residual,
         )
 
 

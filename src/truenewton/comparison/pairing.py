@@ -138,7 +138,6 @@ def _common(old: StiffnessMatrix, new: StiffnessMatrix) -> tuple[NDArray[np.int6
             f"the matrices of {old.instrument} and {new.instrument} have {len(of_old)} actuators in"
             f" common, of {np.count_nonzero(usable[0])} and {np.count_nonzero(usable[1])}",
             remedy="give two matrices of one mirror, with positions in the same coordinates",
-            got=len(of_old),
         )
     return of_old, of_new
 
@@ -180,14 +179,12 @@ def _order(old: Array, new: Array, what: str) -> tuple[NDArray[np.int64], NDArra
             f"{moved} of {n} {what} of the new matrix belong to other actuators than their position"
             " says: the matrix is in another order than its actuators",
             remedy=f"put {what} and positions in the same order (docs/import.md)",
-            got=int(moved),
         )
     lost = cosine[own, order] < MIN_COSINE
     if lost.sum() > MAX_EXCHANGED_FRACTION * n:
         raise CampaignMismatch(
             f"{lost.sum()} of {n} {what} of the new matrix resemble none of the old one",
             remedy="give two matrices of one mirror, with rows, columns and positions in one order",
-            got=int(lost.sum()),
         )
     return order, np.asarray(lost)
 

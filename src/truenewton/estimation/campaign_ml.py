@@ -168,7 +168,7 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
         if estimate.diagnosis.undetermined:
             diagnosis = diagnose(sound, moments)
             if 3 * diagnosis.span < problem.n - 1:  # not even without noise
-                refuse(diagnosis.faults, diagnosis.undetermined)
+                refuse(diagnosis.faults)
     error = np.sqrt(np.diag(left.minimum.reading_covariance)[: problem.n])
     alpha = left.minimum.values[: problem.n]
     strange = () if suspects.columns else strange_alphas(screened.campaign, alpha, error)
@@ -239,7 +239,7 @@ def _fitted(
         except (RankDeficient, NotConverged):
             continue
     first = diagnosis.faults[0]
-    raise RankDeficient(first.fault, remedy=first.remedy, got=diagnosis.undetermined, want=0)
+    raise RankDeficient(first.fault, remedy=first.remedy)
 
 
 def estimate_of(

@@ -262,8 +262,6 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> M
     raise NotConverged(
         f"the likelihood has not settled after {iteration} steps",
         remedy="look at `truenewton info`: outliers, or shapes below the noise",
-        got=float(decrement),
-        want=converged,
     )
 
 

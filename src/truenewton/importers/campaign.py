@@ -158,7 +158,7 @@ def _weight(value: float | str, name: str) -> Any:
         return u.Quantity(value)
     except (TypeError, ValueError):
         remedy = "give a force or a mass with its unit, as '45 g' or '-0.44 N'"
-        raise FormatError(f"{name} is '{value}'", remedy=remedy, got=value) from None
+        raise FormatError(f"{name} is '{value}'", remedy=remedy) from None
 
 
 def _load_of(given: LoadFiles) -> Load:

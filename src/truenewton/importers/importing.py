@@ -300,7 +300,7 @@ def _positions_of(
     if positions is None:
         remedy = "give positions: columns X and Y, an (n, 2) array, or --mirror (mirror=)"
         n = given.item.values.shape[-1]
-        raise NoPositions("has no positions", remedy=remedy, got=n)
+        raise NoPositions("has no positions", remedy=remedy, actuators=n)
     n_all = given.item.values[..., 0].size
     if names is not None and len(names) != n_all:
         raise FormatError(
@@ -320,8 +320,6 @@ def _positions_of(
             remedy="name the rows by --ids (ids=)"
             if given.mirror is not None
             else "give one for each row; if both are numbered, name the rows by --ids (ids=)",
-            got=positions.x.size,
-            want=n_all,
         )
     positions = replace(positions, ids=names) if names is not None else positions
     if rows is None:
@@ -424,7 +422,6 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
             f"positions are in another order than rows and columns: {100 * max(share, 0.0):.0f} %"
             " of the couplings follow the distance (usual: 80 %)",
             remedy="put them in the order of the matrix, or match them by ID (--ids)",
-            got=share,
         )
     if np.isfinite(share):
         doubt = "" if share > MIN_EXPLAINED_COUPLING else ": LOW, check numbering and places"

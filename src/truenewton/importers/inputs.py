@@ -61,7 +61,13 @@ class Rings(NamedTuple):
 
 
 class NoPositions(FormatError):
-    """There are no positions; ``got`` is the number of actuators that they are needed for."""
+    """There are no positions; ``actuators`` is the number of those that they are needed for."""
+
+    def __init__(
+        self, fault: str, *, remedy: str = "", path: object = None, actuators: int = 0
+    ) -> None:
+        super().__init__(fault, remedy=remedy, path=path)
+        self.actuators = actuators
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +276,7 @@ def places_of(
             remedy=f"give positions of the channels, or a folder with {POSITIONS}, or with"
             f" {NUMBERS} and {SHELL}, or the mirror by --mirror (mirror=)",
             path=folders[0],
-            got=int(channels.max()) + 1,
+            actuators=int(channels.max()) + 1,
         )
     mine = numbers_of(channels, numbers)
     if mirror is None and shell is None:
@@ -278,7 +284,7 @@ def places_of(
             f"there is {NUMBERS}, but no {SHELL}",
             remedy=f"give its folder, or the mirror by --mirror (mirror=), or {POSITIONS}",
             path=folders[0],
-            got=int(mine.max()) + 1,
+            actuators=int(mine.max()) + 1,
         )
     every = mirror.layout if mirror is not None else shell_layout(shell)  # type: ignore[arg-type]
     if mine.max() >= every.n:

@@ -298,7 +298,7 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
     """Return an (n, n) matrix in N/m, which may contain NaN, and a text on its unit."""
     most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
     if most > MAX_ELEMENT:
-        raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again", got=most)
+        raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again")
     if not np.isfinite(k).any():
         raise FormatError("holds no finite number", remedy="measure it again")
     refuse_no_stiffness(np.nan_to_num(k, posinf=0.0, neginf=0.0))
@@ -327,7 +327,6 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
             f"declares no unit, and a median own stiffness of {typical:.3g} N/m is no mirror's",
             remedy=f"give it by --unit (unit=), as {', '.join((*fitting, 'unknown'))}; if it is"
             " displacement per force, invert it",
-            got=typical,
         )
     return k, f"N/m, as the median own stiffness is {typical:.3g}"
 

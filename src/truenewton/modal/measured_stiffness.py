@@ -404,8 +404,6 @@ def _along_rigid(missing: Array, layout: Layout, has_opposites: bool) -> Array:
             remedy="take shapes that span all stiffness modes, larger, or repeat them"
             if has_opposites
             else "take each shape with both signs, so that the mirror at rest is known",
-            got=n - 3 - elastic,
-            want=n - 3,
         )
     assumed = rigid @ right[:count].T
     return np.asarray(np.eye(n) - assumed @ np.linalg.solve(missing.T @ assumed, missing.T))

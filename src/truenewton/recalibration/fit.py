@@ -251,8 +251,6 @@ def _find_moved(
                 f"all other actuators disagree with {known.name}: each has changed by"
                 f" {percent(scatter.own)}",
                 remedy="check units and sign of FORCE and ADDED in the run; or calibrate all again",
-                got=scatter.own,
-                want=OTHER_UNIT,
             )
         if scatter.own:
             problem = constrain(problem, known, stay, scatter.own)
@@ -272,8 +270,6 @@ def _find_moved(
             raise RankDeficient(
                 f"more than {counted(len(moved) - 1, 'actuator')} disagree with {known.name}",
                 remedy="calibrate all actuators again",
-                got=len(moved),
-                want=MAX_MOVED_FRACTION * len(stay),
             )
 
 
@@ -322,7 +318,6 @@ def _require_enabled(layout: Layout, actuators: Sequence[int]) -> None:
             raise UnknownName(
                 f"there is no actuator {name} that is enabled",
                 remedy=f"IDs run from {layout.id.min()} to {layout.id.max()}",
-                got=name,
             )
 
 
@@ -334,8 +329,6 @@ def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
             f"there are too few shapes: {len(moments.rows)} for {new} new actuators, bias and"
             " torques",
             remedy="apply more shapes, both signs",
-            got=3 * len(moments.rows),
-            want=wanted + 1,
         )
 
 

@@ -80,7 +80,7 @@ class Segment(NamedTuple):
 def check_date(date: object) -> None:
     """Raise FormatError for anything but a date."""
     if not isinstance(date, datetime.datetime):
-        raise FormatError(f"the date is {date!r}", remedy="give a datetime.datetime, UTC", got=date)
+        raise FormatError(f"the date is {date!r}", remedy="give a datetime.datetime, UTC")
 
 
 def check_segments(segments: tuple[Segment, ...], layout: Layout) -> None:
@@ -250,8 +250,6 @@ class Cycle:
                 raise FormatError(
                     "WEIGHT or ADDED is not the sum of the weights of all segments",
                     remedy="give the sums, and of their errors the root of the sum of squares",
-                    got=own,
-                    want=tuple(sums.values()),
                 )
             object.__setattr__(self, "segments", ordered)
 
@@ -265,8 +263,6 @@ class Cycle:
                     f"{name.upper()} has shape {value.shape} for {counted(rows, 'row')} and"
                     f" {counted(n, 'actuator')}",
                     remedy=f"give it the shape {want}",
-                    got=value.shape,
-                    want=want,
                 )
         if not self.valid.any():
             what = "valid rows" if rows else "rows"
@@ -291,7 +287,6 @@ class Cycle:
                 f"FORCERR is {self.force_error:g} N, and no FORCE is beyond {self.largest_force:g}"
                 " N",
                 remedy="check the units of both; leave FORCERR out if it is unknown",
-                got=self.force_error,
             )
 
     def _check_finite(self, name: str, quantity: Quantity) -> None:
@@ -307,9 +302,7 @@ class Cycle:
                 remedy += "; if it is so in all rows, set ENABLED of the actuator to F"
             if np.isfinite(bad):
                 remedy = f"{quantity.why}, or mark the row as not VALID"
-            raise FormatError(
-                f"{name.upper()} in row {row + 1} is {bad:g}{of}", remedy=remedy, got=bad
-            )
+            raise FormatError(f"{name.upper()} in row {row + 1} is {bad:g}{of}", remedy=remedy)
 
     def __repr__(self) -> str:
         return (

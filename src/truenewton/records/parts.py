@@ -50,8 +50,6 @@ def require_segment(number: int, numbers: Sequence[int]) -> None:
         raise UnknownName(
             f"there is no segment {number}",
             remedy=f"choose {', '.join(map(str, numbers))}",
-            got=number,
-            want=numbers,
         )
 
 
@@ -234,8 +232,6 @@ class Parts(InParts[Part], Result):
             raise FormatError(
                 "SEGMENTS does not name each segment of the actuators once",
                 remedy="make the file again",
-                got=tuple(numbers),
-                want=self.numbers,
             )
         for number, one in self.found.items():
             layout = getattr(one, "layout", None)
@@ -300,9 +296,7 @@ def refuse_other_mirror(given: Any, mirror: Any, than: str, path: str, remedy: s
     elif apart or given.layout.segments != mirror.layout.segments:
         fault = f"has other actuators than {than}{f': {apart}' if apart else ''}"
     if fault:
-        raise CampaignMismatch(
-            fault, remedy=remedy, path=path, got=given.instrument, want=mirror.instrument
-        )
+        raise CampaignMismatch(fault, remedy=remedy, path=path)
 
 
 def has_parts(data: object) -> TypeIs[InParts[Any]]:

@@ -61,8 +61,6 @@ class StiffnessMatrix:
             raise FormatError(
                 f"DISPLACE is '{self.displaced}'",
                 remedy=f"give {' or '.join(map(repr, DISPLACED))}, or leave it out",
-                got=self.displaced,
-                want=DISPLACED,
             )
         convert_quantities(self)
         freeze(self, "stiffness")
@@ -76,8 +74,6 @@ class StiffnessMatrix:
             raise FormatError(
                 f"STIFFNESS is {' x '.join(map(str, self.stiffness.shape))} for {n} actuators",
                 remedy=f"give an image of {n} x {n}",
-                got=self.stiffness.shape,
-                want=(n, n),
             )
         counted = self.used_stiffness
         if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > MAX_MAGNITUDE:

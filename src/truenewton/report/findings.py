@@ -305,7 +305,7 @@ class Findings:
         if name.startswith("modes"):
             raise ValueError(self.no_modes or "a calibration file has no modes; give the data")
         remedy = f"choose {', '.join(drawn)}"
-        raise UnknownName(f"there is no figure '{name}'", remedy=remedy, got=name)
+        raise UnknownName(f"there is no figure '{name}'", remedy=remedy)
 
 
 @overload

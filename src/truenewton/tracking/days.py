@@ -127,8 +127,6 @@ def gather_days(
             else "there is no calibration",
             remedy="add one of another day or temperature",
             path=days[0].name if days else None,
-            got=len(days),
-            want=2,
         )
     return tuple(days)
 

@@ -192,7 +192,6 @@ def _refuse_other_units(days: Sequence[DatedCalibration], on: NDArray[np.bool_])
             f" {days[0].name}, more than any temperature explains",
             remedy="track calibrations of one unit",
             path=days[worst].name,
-            got=float(apart[worst]),
         )
 
 

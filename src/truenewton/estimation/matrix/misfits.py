@@ -300,7 +300,6 @@ def bad_actuators(
                 f"{len(found)} of {n} actuators do not fit the others: the matrix is far from"
                 " symmetric, or its columns from balance",
                 remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
-                got=len(found),
             )
 
     order = row_order(k)

@@ -63,8 +63,6 @@ def refuse_few_modes(count: int, n: int) -> None:
             f"only {counted(count, 'mode')} of STIFFNESS stiffer than"
             f" {MIN_SINGULAR_VALUE:g} of the stiffest, for {counted(n, 'actuator')}",
             remedy="measure a stiffness matrix of full rank",
-            got=count,
-            want=n - 3,
         )
 
 
@@ -89,7 +87,6 @@ def balance_modes(modes: Array, a: Array) -> tuple[Array, Array]:
             "alpha is not unique: two patterns balance the modes almost equally well (imbalance"
             f" {values[0]:.2g} and {values[1]:.2g})",
             remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
-            got=float(values[1]),
         )
     mean = right[0].mean()
     alpha = right[0] / mean
@@ -163,8 +160,6 @@ def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
         raise RankDeficient(
             "noise decides some patterns of alpha: the matrix is too noisy for so many actuators",
             remedy="use --population, or measure a less noisy matrix",
-            got=inflation,
-            want=SPURIOUS_FACTOR,
         )
     if (fit.alpha <= 0.0).any():
         raise RankDeficient(

@@ -63,7 +63,6 @@ def refuse_no_stiffness(k: Array) -> None:
             f"{same} of {len(k)} own elements of STIFFNESS are the same number, {typical:.3g}: rows"
             " were divided by them, or cut off at a limit",
             remedy="give the matrix as it was measured",
-            got=same,
         )
 
 
@@ -76,7 +75,6 @@ def refuse_compliance(facts: MatrixFacts, layout: Layout) -> None:
             "STIFFNESS looks like a compliance, displacement per force: rigid motions are its"
             " largest part",
             remedy="give force per displacement, its inverse but for rigid motions",
-            got=cost,
         )
 
 

@@ -115,7 +115,6 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
                 f"{named('actuator', ids[off].tolist(), 20)} have rows or columns of zeros in"
                 " STIFFNESS, but pushed: the columns around them do not balance",
                 remedy="measure the stiffness with them switched off, or their rows and columns",
-                got=int(np.count_nonzero(off)),
             )
         doubt[off] = UNKNOWN_FORCE
     disturbance = np.zeros((len(core), 3, 3))

@@ -236,11 +236,11 @@ def similar_loads(weights: Array) -> Finding | None:
     return Finding.of(Code.SIMILAR_LOADS, difference=apart, largest=largest)
 
 
-def refuse(faults: Iterable[Fault | Finding | None], undetermined: int = 0) -> None:
+def refuse(faults: Iterable[Fault | Finding | None]) -> None:
     """Raise RankDeficient with the first fault, if there is one."""
     for fault in faults:
         if fault is not None:
-            raise RankDeficient(fault.fault, remedy=fault.remedy, got=undetermined, want=0)
+            raise RankDeficient(fault.fault, remedy=fault.remedy)
 
 
 def leverage(scaled_arms: Array, variance: Array) -> Array:

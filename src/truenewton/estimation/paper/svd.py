@@ -69,8 +69,6 @@ def solve(matrix: Array, right_side: Array, *, any_rank: bool = False) -> Singul
         raise RankDeficient(
             f"{len(matrix)} equations for {unknowns} unknowns",
             remedy="apply more shapes",
-            got=len(matrix),
-            want=unknowns,
         )
     triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
     left, values, right = singular_values_and_vectors(triangle[:, :-1])
@@ -79,8 +77,6 @@ def solve(matrix: Array, right_side: Array, *, any_rank: bool = False) -> Singul
         raise RankDeficient(
             f"the system has rank {rank} of {unknowns}",
             remedy="apply more independent shapes, or a load that differs",
-            got=rank,
-            want=unknowns,
         )
     pseudo_inverse = right[:rank].T / values[:rank]
     return SingularSolution(
@@ -158,7 +154,7 @@ def bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array
 def solve_campaign(campaign: Campaign, moments: Moments) -> Estimate:
     """Return the paper's estimate of a campaign; raise RankDeficient if there is none."""
     diagnosis = diagnose(campaign, moments)
-    refuse(diagnosis.faults, diagnosis.undetermined)
+    refuse(diagnosis.faults)
     fitted, errors = fit(campaign), weight_errors(campaign)
     solution = fitted.solution
     n = int(campaign.layout.enabled.sum())

@@ -144,8 +144,6 @@ def fit(
     raise NotConverged(
         f"reciprocity has not settled after {MAX_STEPS} steps",
         remedy="check gains and positions of the sensors",
-        got=size / float(error),
-        want=SETTLED_STEP,
     )
 
 

@@ -159,8 +159,6 @@ def refuse_unheld(square: Array) -> None:
         raise RankDeficient(
             f"no shape holds {missing} of {n} motions of the mirror",
             remedy="take shapes that span all stiffness modes and the rigid motions",
-            got=n - missing,
-            want=n,
         )
 
 

@@ -157,8 +157,6 @@ def naming(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNewtonErr
         f"{what} ({error.fault})",
         remedy=suspects[0].remedy,
         path=error.path,
-        got=error.got,
-        want=error.want,
     )
 
 
@@ -213,8 +211,6 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
                 remedy="compare its LOAD, SHAPE and SIGN with theirs, and the unit, sign and order"
                 " of its FORCE and POSITION; or leave it out",
                 path=cycles[k].name,
-                got=1.0,
-                want=MAX_REJECTED_FRACTION,
             )
         cycles[k] = replace(cycles[k], valid=valid)
     return Campaign(tuple(cycles))
@@ -266,8 +262,6 @@ def refuse_too_many(rejected: int, rows: int) -> None:
             f"{rejected} of {rows} rows do not fit their repeats or the balance",
             remedy="look whether SHAPE and SIGN are those that were applied, and at what happened"
             " during the run; or mark the bad rows as not VALID",
-            got=rejected / rows,
-            want=MAX_REJECTED_FRACTION,
         )
 
 
