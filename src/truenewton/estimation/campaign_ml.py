@@ -230,7 +230,7 @@ def _fitted(
         if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
             alike = similar_loads(campaign.effective_weights)
             unseen = unseen_load(problem.a[0], campaign.effective_weights, moments)
-            refuse((unseen, *diagnosis.faults, alike), diagnosis.undetermined)
+            refuse((unseen, *diagnosis.faults, alike))
             raise
     for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
         patterns = undetermined_patterns(problem, moments, count)
