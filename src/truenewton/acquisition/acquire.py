@@ -221,12 +221,16 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
         try:
             run.taker.bench.rest()
         except BenchFault as fault:
+            with suppress(OutputFailed):
+                log.note("not at rest", fault=fault.fault)
             why = error.fault if isinstance(error, TrueNewtonError) else error
             raise BenchFault(
                 f"the mirror may not be at rest ({fault.fault}), after: {why}",
                 remedy="check the bench; the same command goes on with the campaign",
                 path=run.folder,
             ) from error
+        with suppress(OutputFailed):
+            log.note("rest")
         if isinstance(error, TrueNewtonError):
             then = "the mirror is at rest, what was taken is kept; the same command goes on"
             then += ", once that is corrected" if isinstance(error, LimitExceeded) else ""
