@@ -410,7 +410,7 @@ def test_a_path_paths_and_cycles_are_calibrated_as_the_campaign(p45_folder, tmp_
     for data in (tmp_path / "two", [tmp_path / "two"], segments):
         assert list(calibrate(data, "svd").found) == [1, 2]
     calibrate(campaign, "svd").write(tmp_path / "alpha.fits")
-    with pytest.raises(FormatError, match=r"alpha.fits: is a calibration file .* to `report`"):
+    with pytest.raises(FormatError, match=r"alpha.fits: is a calibration already; give cycle"):
         calibrate(tmp_path / "alpha.fits")
     with pytest.raises(TypeError, match="cannot calibrate a ndarray; give a path, paths, cycles,"):
         calibrate(alpha)
