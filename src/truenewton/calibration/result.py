@@ -10,9 +10,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array, freeze
-from truenewton.errors import FormatError
+from truenewton.errors import FormatError, UnknownName
 from truenewton.estimation.findings.catalogue import REPEATED, read_name, read_warning
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.estimate import (
@@ -42,11 +43,12 @@ from truenewton.records.cycle import Source
 from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
 from truenewton.records.parts import Parts
 from truenewton.records.result import KINDS, Result, ResultKind, verdict_of
-from truenewton.rounding import counted
+from truenewton.rounding import counted, named
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load, check_load
 
 if TYPE_CHECKING:
+    import pandas as pd
     from astropy.table import QTable
     from matplotlib.axes import Axes
 
@@ -236,6 +238,53 @@ class Calibration(Result, EstimateFacts):
         """Return (n,) an attribute of the sensors, as 'gain'; NaN of those that are not fitted."""
         fitted = {s.actuator: getattr(s, name) for s in self.sensors if s.state == "fitted"}
         return np.array([fitted.get(actuator, np.nan) for actuator in self.layout.id.tolist()])
+
+    def __len__(self) -> int:
+        return self.layout.n
+
+    def alpha_of(self, ids: ArrayLike) -> Array:
+        """Return alpha of actuators by their IDs, in the shape of ``ids``.
+
+        Raises
+        ------
+        UnknownName
+            There is no such actuator.
+        """
+        wanted = np.asarray(ids)
+        order = np.argsort(self.layout.id)
+        at = order[np.searchsorted(self.layout.id, wanted, sorter=order).clip(max=len(self) - 1)]
+        missing = np.unique(wanted[self.layout.id[at] != wanted]).tolist()
+        if missing:
+            raise UnknownName(
+                f"{self.instrument} has no {named('actuator', missing, 8)}",
+                remedy="give IDs of `calibration.layout.id`",
+            )
+        return np.asarray(self.alpha[at])
+
+    def to_true(self, commanded: ArrayLike) -> Array:
+        """Return true forces, alpha times commanded: (..., n) [N], NaN of disabled actuators.
+
+        Examples
+        --------
+        >>> calibration.to_true(np.ones(45)).shape
+        (45,)
+        """
+        return np.asarray(self.alpha * np.asarray(commanded, dtype=float))
+
+    def to_commanded(self, true: ArrayLike) -> Array:
+        """Return the commands that give (..., n) true forces, these over alpha [N]."""
+        return np.asarray(np.asarray(true, dtype=float) / self.alpha)
+
+    def true_stiffness(self, commanded: ArrayLike) -> Array:
+        """Return (n, n) true force per displacement, diag(alpha) K, of commanded force K [N/m].
+
+        Sensor gains stay in it; `true_stiffness` of `tn` removes them, too.
+        """
+        return np.asarray(self.alpha[:, None] * np.asarray(commanded, dtype=float))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return `table` as a pandas table, whose index is the ID; pandas must be installed."""
+        return self.table.to_pandas(index="ID")
 
     @property
     def table(self) -> QTable:

@@ -78,6 +78,14 @@ class Summarised:
         summary = summary_of.dispatch(type(self._one))(self)
         return html_table(*summary) if summary else None
 
+    def summary(self) -> str:
+        """Return the summary as text: values with their uncertainties, and remarks."""
+        summary = summary_of.dispatch(type(self._one))(self)
+        if summary is None:
+            return repr(self)
+        rows = [f"  {row[0]:<24}{row[1]:<36}{' '.join(row[2:])}".rstrip() for row in summary.rows]
+        return "\n".join([summary.headline, *rows, *summary.remarks])
+
 
 class Result(Summarised):
     """A result that has a file, of one body or of several segments."""
