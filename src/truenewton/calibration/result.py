@@ -243,7 +243,7 @@ class Calibration(Result, EstimateFacts):
         return self.layout.n
 
     def alpha_of(self, ids: ArrayLike) -> Array:
-        """Return alpha of actuators by their IDs, in the shape of ``ids``.
+        """Return (k,) alpha of actuators by their (k,) IDs.
 
         Raises
         ------
