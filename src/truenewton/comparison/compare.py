@@ -96,7 +96,7 @@ class Comparison(Tabulated):
 
     Examples
     --------
-    >>> tn.compare(old, new).verdict.level
+    >>> tn.compare(matrix_2025, matrix_2026).verdict.level
     <Level.SOUND: 'sound'>
     """
 
@@ -170,7 +170,7 @@ def compare(old: Read | AnyPath, new: Read | AnyPath) -> Comparison | Change:
 
     Examples
     --------
-    >>> compared = tn.compare(old, new)
+    >>> compared = tn.compare(matrix_2025, matrix_2026)
     >>> int(compared.alpha_changed.sum())
     0
     >>> moved = tn.compare(calibration, warm)
