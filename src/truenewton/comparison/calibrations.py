@@ -75,6 +75,11 @@ class Change(Tabulated):
         Sigmas that one actuator of all reaches by chance in a hundredth of such comparisons.
     segments
         Of a mirror in several segments the change of each that has alpha in both, by its number.
+
+    Examples
+    --------
+    >>> tn.compare(calibration, warm).changed
+    array([], dtype=int64)
     """
 
     COLUMNS: ClassVar = TableFormat(
