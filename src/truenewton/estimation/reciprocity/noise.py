@@ -171,7 +171,10 @@ def _dual(basis: Array) -> Array:
 
 
 def _left(count: Array, taken: Array) -> Array:
-    """Return how many of the residuals a fit leaves; 1 in 20 at least."""
+    """Return the number of residuals less those taken by a fit.
+
+    At least 1 in 20: with fewer, too little would be left to determine the noise.
+    """
     return np.asarray(count * (1.0 - np.minimum(taken / count, 0.95)))
 
 
@@ -287,7 +290,8 @@ def _by_offsets(forces: Array, fit: Fit, seen: SensorModel) -> Array:
 def _without_factors(apart: Array, whole: Array, weight: Array) -> Array:
     """Return (n, n) squared differences of pairs that no factor of each actuator explains.
 
-    Each is divided by 1 less its leverage: a few strong pairs determine most of a factor.
+    Each is divided by 1 less its leverage: a few strong pairs determine most of a factor. The
+    leverage is at most 0.9, since beyond that too little is left to determine the noise.
     """
     links = weight * whole**2
     laplacian = np.diag(links.sum(axis=1)) - links
