@@ -118,10 +118,10 @@ def test_the_matrix_is_the_same_from_every_kind_of_file(tmp_path, kind):
     made = tn.stiffness_from(path, XY.T * 1e3 * u.mm, **more)
     np.testing.assert_allclose(made.matrix.stiffness, -CASE.k, rtol=1e-12)
     assert np.array_equal(~made.matrix.layout.enabled, CASE.off)
-    assert "negative: turned" in text(made)
+    assert "negative: sign changed" in text(made)
     off = f"{OFF} with rows and columns of zeros, disabled: {CASE.layout.id[CASE.off][0]}"
     assert off in text(made)
-    assert "orientation  as it should be" in text(made)
+    assert "orientation  not transposed" in text(made)
     assert len(made.lines) <= 10
 
 
@@ -357,7 +357,7 @@ def test_hdf5_declares_units_and_it_is_said_which_of_two_was_taken(tmp_path):
         file["run7/FF"].attrs["unit"], file["xy"].attrs["units"] = "N/um", np.bytes_("mm")
     made = tn.stiffness_from(tmp_path / "k.h5", curvature=R)
     np.testing.assert_allclose(made.matrix.stiffness, -CASE.k, rtol=1e-12)
-    assert "45 x 45, 'run7/FF' of intmat, run7/FF, N/um as declared: a median own" in text(made)
+    assert "45 x 45, 'run7/FF' of intmat, run7/FF, N/um as declared: median diagonal" in text(made)
     assert "mm as declared" in text(made)
 
 
@@ -402,7 +402,7 @@ def scrambled():
         ({"coordinates": XY[:, [*range(N - 1), 0]]}, r"two actuators stand at x = .* m: 1 and 45"),
         ({"coordinates": XY * 100}, "unit is not declared; give it by --lengths"),
         ({"coordinates": XY * u.s}, "unit of positions is 's'; give one as mm"),
-        ({"matrix": 1e-6 * CASE.k}, "no unit, .* is no mirror's; give it by --unit .*, as N/um"),
+        ({"matrix": 1e-6 * CASE.k}, "no unit, .* is implausible; give it by --unit .*, as N/um"),
         ({"matrix": CASE.k * u.N}, "unit of the matrix is 'N'; give one as N/um"),
         ({"matrix": CASE.k[:, 1:]}, "holds no square matrix"),
         ({"matrix": 1j * CASE.k}, "holds no real numbers"),
@@ -494,7 +494,7 @@ def test_the_command_says_what_it_found_and_alpha_is_right(tmp_path, inside, mon
     assert out.startswith("X9: 45 actuators, from ")
     assert "mm as declared" in out
     assert all(str(CASE.layout.id[b]) in out.split("do not fit")[1] for b in CASE.bad)
-    assert "2026-01-02 03:04:05 (as told)" in out
+    assert "2026-01-02 03:04:05 (as specified)" in out
     assert f"truenewton calibrate {tmp_path / 'k.fits'}" in out
     assert "  verdict      usable" in out
     np.testing.assert_array_equal(tn.read(tmp_path / "k.fits").stiffness, -CASE.k)

@@ -32,7 +32,7 @@ from truenewton.rounding import counted, percent, significant, to_digits, with_e
 
 MEANINGS = {
     Level.SOUND: "the stated errors are valid",
-    Level.USABLE: "alpha can be used, within the limits listed below",
+    Level.USABLE: "alpha can be used, within the limits that are listed",
     Level.DOUBTFUL: "the stated errors may be too small: do not load alpha before the checks below",
     Level.REJECTED: "do not use alpha",
 }
@@ -212,12 +212,12 @@ def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
         yield "fit", f"chi2/DOF = {fit.reduced:.3g}" if judged else "cannot be judged", note
     if c.diagnosis.weakest:
         note = f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2"
-        yield "least known", c.diagnosis.weakest, note
+        yield "least certain pattern", c.diagnosis.weakest, note
     if c.diagnosis.eigenvalues:
         note = "imbalance of the second-best solution relative to the best; 1: not unique"
         yield "uniqueness", f"{c.diagnosis.separation:.3g}", note
     if np.isfinite(c.condition):
-        note = f"of E, the equations of balance, in units of their RMS; rank {c.rank}"
+        note = f"of the balance equations E, scaled to unit RMS; rank {c.rank}"
         yield "condition", f"{c.condition:.3g}", note
     if np.isfinite(c.solved_condition):
         yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"

@@ -369,7 +369,9 @@ def scale_limit(c: Calibration) -> Finding | None:
     if largest.source.kind in WEIGHED and heaviest.added_error:
         better = np.sqrt(total**2 - 0.99 * largest.relative**2)
         finer = 1e3 * heaviest.added_error / 10
-        remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")
+        remedies.append(
+            f"weigh it to {finer:.2g} mN, and the scale error falls to {percent(better)}"
+        )
     if not any(load.tilt for load in c.loads):
         tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
         if tilted < total:

@@ -135,8 +135,8 @@ def run_recalibrate(
 
 
 def run_compare(
-    old: Path = typer.Argument(..., metavar="OLD", help="Stiffness or calibration of before."),
-    new: Path = typer.Argument(..., metavar="NEW", help="Stiffness or calibration of after."),
+    old: Path = typer.Argument(..., metavar="OLD", help="Earlier stiffness or calibration file."),
+    new: Path = typer.Argument(..., metavar="NEW", help="Later stiffness or calibration file."),
     output: Path | None = options.output("Table of all changes to write (.csv, .ecsv)."),
     figure: Path | None = typer.Option(
         None, "--figure", help="Map of the change of alpha to write (.pdf, .png, .svg)."

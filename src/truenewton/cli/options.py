@@ -20,14 +20,17 @@ METHOD = typer.Option(
     None,
     metavar="[ml|svd|reciprocity|auto]",
     autocompletion=lambda: ["ml", "svd", "reciprocity", "auto"],
-    help="ml: maximum likelihood. svd: the paper's. reciprocity. auto: reciprocity if it is valid,"
-    " else ml. By default auto for a matrix or with --mirror, else ml.",
+    help="ml: maximum likelihood. svd: the method of the paper. reciprocity: symmetry of the"
+    " stiffness. auto: reciprocity if it is valid, otherwise ml. By default ml for cycles; auto for"
+    " a matrix, and with --mirror.",
 )
 POPULATION = typer.Option(
     False, "--population", help="Assume that all alpha are drawn from one normal population (ml)."
 )
 MIRROR_MODEL = typer.Option(
-    None, "--mirror", help="Mirror model (name or TOML file): what the sensors measure."
+    None,
+    "--mirror",
+    help="Mirror model (name or TOML file), used to model what the sensors measure.",
 )
 ANYWAY = typer.Option(
     False, "--anyway", help="Continue even if the verdict on alpha is 'rejected'."

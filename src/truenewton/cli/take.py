@@ -32,7 +32,7 @@ def run_plan(
     new: bool = typer.Option(False, "--new", help="Print a commented plan to start from."),
     output: Path | None = options.output("With --new: write the plan to this file instead."),
     target: float | None = typer.Option(
-        None, help="Wanted typical relative error of alpha: 0.005 for 0.5 %."
+        None, help="Target for the typical relative error of alpha (0.005 = 0.5 %)."
     ),
     plot: Path | None = typer.Option(
         None, "--plot", help="Draw error against cycles and added weight (PNG, PDF or SVG)."
@@ -41,7 +41,7 @@ def run_plan(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Predict errors, time, forces and gap of a campaign, and what to change for a wanted error."""
+    """Predict errors, time, forces and gap of a campaign, and what reaches a target error."""
     if new == (path is not None):
         raise typer.BadParameter("give a plan, or --new for one to start from")
     if target is not None and not 0 < target < 1:
@@ -216,7 +216,9 @@ def run_import(
     example: bool = typer.Option(
         False, "--example", help="Print the description of a campaign, with comments."
     ),
-    unit: str | None = typer.Option(None, help="Of the matrix, as N/um; 'unknown' for steps."),
+    unit: str | None = typer.Option(
+        None, help="Unit of the matrix, as N/um; 'unknown' for steps of the electronics."
+    ),
     lengths: str | None = typer.Option(None, help="Unit of positions, as mm."),
     curvature: float | None = typer.Option(
         None, help="Radius of curvature [m]: actuators push along the normals."

@@ -64,7 +64,7 @@ def print_result(
         return
     say(*(() if quiet else lines), *(f"written: {path}" for path in filter(None, written)))
     if None in written and not quiet:
-        say("not written; -o FILE keeps it")
+        say("No file was written. To save the result, add -o FILE.")
 
 
 def schema_of(name: str, result: object) -> str:

@@ -24,7 +24,7 @@ def run_report(
     output: Path = options.output("Page to write (HTML).", ...),
     method: str | None = options.METHOD,
     calibration: Path | None = typer.Option(
-        None, help="Calibration of these data, which are then not fitted again."
+        None, help="Calibration of these data. If you give it, they are not fitted again."
     ),
     population: bool = options.POPULATION,
     mirror: str | None = options.MIRROR_MODEL,
@@ -179,7 +179,7 @@ def run_modes(
 
 def run_export(
     folder: Path = typer.Argument(
-        ..., metavar="FOLDER", help="A supervisor's: ff_matrix.fits, ff_list.fits."
+        ..., metavar="FOLDER", help="Supervisor's folder with ff_matrix.fits and ff_list.fits."
     ),
     calibration: Path = typer.Option(..., help="Calibration file; its IDs are the channels."),
     output: Path = options.output("Folder to write the five files to.", ...),
@@ -188,7 +188,7 @@ def run_export(
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Write a supervisor's feed-forward files again, with forces in true Newtons."""
+    """Convert a supervisor's feed-forward files to true Newtons."""
     from truenewton.importers.supervisor import export_supervisor
     from truenewton.reading import read_calibration
 

@@ -17,7 +17,7 @@ MAX_ROWS = 12  # of the table of actuators; the file contains all
 MAX_COUPLINGS = 5
 UNDETECTABLE = (
     "a patch of glass that becomes 1 % stiffer looks like 0.1 % of alpha",
-    "the mean change of alpha and that of the sensor gains: only their product",
+    "the mean change of alpha, separately from that of the sensor gains",
 )
 
 
@@ -34,7 +34,7 @@ def lines(c: Comparison | Change) -> Iterator[str]:
     ):
         count = counted(int(changed.sum()), "actuator") if changed.any() else "none"
         error = percent(float(np.median(errors)))
-        others = f"the others scatter by {percent(scatter)}, each known to {error}"
+        others = f"scatter of the others {percent(scatter)} (noise removed), error of one {error}"
         yield row(f"{name} changed", count, others)
     for actuator, sensor, size in c.couplings[:MAX_COUPLINGS]:
         where = f"actuator {actuator}, sensor {sensor}"

@@ -31,7 +31,7 @@ from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_new
 from truenewton.importers.stored import read_stored
 from truenewton.quantities import taking_units
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import listed, named
+from truenewton.rounding import listed, named, percent
 from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout, layout
 
@@ -130,7 +130,7 @@ def stiffness_from(
     known = given.mirror.name if given.mirror else None
     check = partial(_checked, k, name=name, when=when, exclude=exclude, mirror=known)
     record, judged, positions, noted = _first_that_fits(given, ways, check)
-    of = f"{given.which}{part}, {unit_line}{', transposed as told' if transpose else ''}"
+    of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []
     lines += [
         ("matrix", f"{len(k)} x {len(k)}{of}"),
@@ -399,8 +399,8 @@ def turned_sign(k: Array) -> tuple[Array, str]:
     own = np.diag(k)
     against = np.count_nonzero(own < 0.0)
     if against <= np.count_nonzero(own > 0.0):
-        return k, "positive, as it should be"
-    return -k, "negative: turned (forces on the mirror, positive upward, hold a displacement)"
+        return k, "positive (correct)"
+    return -k, "negative: sign changed (forces on the mirror, positive upward, hold a displacement)"
 
 
 def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged:
@@ -447,11 +447,11 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
 
 
 def _orientation(facts: MatrixFacts) -> str:
-    figures = f"a rigid motion costs {facts.rigid_cost:.2g} of the own stiffness, columns miss"
-    figures += f" balance by {facts.imbalance:.2g}"
+    figures = f"rigid-body residual {percent(facts.rigid_cost)}, column imbalance"
+    figures += f" {percent(facts.imbalance)} of the diagonal"
     if facts.looks_transposed:
         return (
             f"LOOKS TRANSPOSED: {figures}; [i, j] is the force of actuator i per displacement of"
-            " sensor j, else it lies the other way round (--transpose)"
+            " sensor j; otherwise add --transpose"
         )
-    return f"as it should be: {figures}"
+    return f"not transposed ({figures})"

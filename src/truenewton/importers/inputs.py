@@ -391,7 +391,7 @@ def _whole_numbers(values: Array, path: Path) -> NDArray[np.int64]:
 def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.datetime, str]:
     """Return the date of the measurement (UTC), and where it is from."""
     if told is not None:
-        return told.replace(tzinfo=told.tzinfo or datetime.UTC), "as told"
+        return told.replace(tzinfo=told.tzinfo or datetime.UTC), "as specified"
     header = given.stored.header
     track = str(header.get("TRACKNUM", "")), Path(given.path).name
     for text in track:
@@ -408,6 +408,6 @@ def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.date
     if given.path:
         seconds = Path(given.path).stat().st_mtime
         when = datetime.datetime.fromtimestamp(int(seconds), tz=datetime.UTC)
-        return when, "of the file; --date knows better"
+        return when, "of the file; --date overrides it"
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     return now, "now; date= knows better"

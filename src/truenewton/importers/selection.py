@@ -241,7 +241,7 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
     x, y = (np.where(np.abs(values) < MAX_COORDINATE, values, np.nan) for values in (x, y))
     if not np.isfinite(x + y).any():
         raise FormatError("holds no finite positions", remedy="give X and Y")
-    unit, how = lengths or positions.unit, "as told" if lengths else "as declared"
+    unit, how = lengths or positions.unit, "as specified" if lengths else "as declared"
     if not unit:
         unit, how = _likeliest_unit(x, y), "by their size"
     factor = _factor(unit, "m", "positions")
@@ -310,13 +310,13 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
             "is zero on its diagonal", remedy="give a stiffness or feed-forward matrix"
         )
     if unit == "unknown":
-        said = f"unit unknown: its median own stiffness is called {NOMINAL_STIFFNESS:g} N/m;"
+        said = f"unit unknown: its median diagonal is called {NOMINAL_STIFFNESS:g} N/m;"
         said += " alpha does not depend on it, forces and modes are in that unit"
         return k * (NOMINAL_STIFFNESS / typical), said
     said = unit or declared
     if said:
         factor = _factor(said, "N/m", "the matrix")
-        how = f"as {'told' if unit else 'declared'}: a median own stiffness of"
+        how = f"as {'specified' if unit else 'declared'}: median diagonal"
         how += f" {abs(factor) * typical:.3g} N/m"
         doubt = "" if _is_likely(abs(factor) * typical) else ", UNLIKELY of a mirror: check it"
         return k * factor, f"{said} {how}{doubt}"
@@ -324,11 +324,11 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
         per = {"N/um": 1e6, "N/mm": 1e3, "mN/um": 1e3, "N/nm": 1e9, "uN/nm": 1e3}
         fitting = [name for name, f in per.items() if _is_likely(typical * f)]
         raise FormatError(
-            f"declares no unit, and a median own stiffness of {typical:.3g} N/m is no mirror's",
+            f"declares no unit, and a median diagonal of {typical:.3g} N/m is implausible",
             remedy=f"give it by --unit (unit=), as {', '.join((*fitting, 'unknown'))}; if it is"
             " displacement per force, invert it",
         )
-    return k, f"N/m, as the median own stiffness is {typical:.3g}"
+    return k, f"N/m, inferred from the median diagonal {typical:.3g}"
 
 
 def _is_likely(stiffness: float) -> bool:

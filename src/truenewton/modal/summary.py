@@ -87,8 +87,8 @@ def comparison_text(findings: ModalFindings) -> str:
         return "in the span of the calibrated: all have nearly the same stiffness"
     worst = int(c.largest_angle.argmax())
     return (
-        f"{math.degrees(c.distance):.2g} deg rms from the calibrated; at worst"
-        f" {math.degrees(c.largest_angle[worst]):.2g} deg, between the spans of the first"
+        f"{math.degrees(c.distance):.2g} deg rms from the calibrated modes; worst:"
+        f" {math.degrees(c.largest_angle[worst]):.2g} deg, between the subspaces of the first"
         f" {c.orders[worst]}"
     )
 

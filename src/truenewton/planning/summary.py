@@ -54,7 +54,7 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
     rows += [
         ("  reading noise", percent(from_readings),
          f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
-        ("least known", prediction.diagnosis.weakest,
+        ("least certain pattern", prediction.diagnosis.weakest,
          f"{percent(prediction.diagnosis.weakest_share)} of the variance E_STAT^2"),
         ("duration", _time(outcome.duration),
          f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(order) - 1} x"

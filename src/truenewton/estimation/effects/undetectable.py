@@ -94,7 +94,7 @@ def _up(fit: FittedRows) -> Array:
 # The derivative by each effect in units of its usual size; None if the error budget contains it.
 UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
     "5 mN of an added weight rests on something else": supported,
-    "all zeros shift by a tenth of a reading's noise under a load": zero_by_load,
+    "all force zeros shift under a load by 10 % of the noise of a reading": zero_by_load,
     "the bias magnets are 1 K warmer under a load": warmer_magnets,
     "coil gains differ by 1 % between static and elastic forces": static_gain,
 }

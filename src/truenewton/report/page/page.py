@@ -408,7 +408,7 @@ def _stiffness_modes(modes: ModalFindings) -> Section:
     negative = counted(elastic[elastic < 0.0], "elastic mode")
     words = [
         f"{counted(values, 'mode')}. Elastic modes: {stiffness_text(softest)} to"
-        f" {stiffness_text(elastic.max())}; {negative} with negative stiffness (of a body: 0)."
+        f" {stiffness_text(elastic.max())}; {negative} with negative stiffness (expected: 0)."
         f" Rigid-body modes: {rigid} (of a free body without bias magnets: 0)."
     ]
     if compared := comparison_text(modes):
