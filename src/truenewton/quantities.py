@@ -132,6 +132,13 @@ def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0) -> Any:
             value = u.Quantity(value)
         except (u.UnitsError, TypeError):
             raise other_unit(name, "several units", unit) from None
+    if isinstance(value, str):
+        import astropy.units as u
+
+        try:
+            value = u.Quantity(value)
+        except (TypeError, ValueError):
+            raise other_unit(name, f"'{value}'", unit) from None
     own = unit_of(value)
     if own is None:
         return value

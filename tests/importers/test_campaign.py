@@ -81,9 +81,10 @@ def test_files_of_a_campaign_become_cycle_files(tmp_path, inside, ending, change
     [
         ('"-0.289 N"', "0.289", "load 'ring': ADDED is 0.289 N; z points up"),
         ('"-0.289 N"', '"29 parrots"', "added is '29 parrots'; give a force or a mass with its"),
-        ("F{id}", "G{id}", "bare-1.csv: there is no column 'G1'; check it; there is"),
+        ("F{id}", "G{id}", "bare-1.csv: there is no column 'G1'; name the columns of the file"),
         ("F{id}", "shape", "'shape' has shape (28,); give an array of rows by 14 actuators, or"),
         ("added_error", "added_errors", "'added_errors'; did you mean 'added_error'?"),
+        ("mN", "mn", "bare-1.csv: the unit of force is 'mn'; name a unit of N"),
         ('files = ["bare-1.csv", "bare-2.csv"]', "files = []", "load 'bare' has no files"),
     ],
 )

@@ -20,8 +20,9 @@ from truenewton.quantities import in_unit
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.tables import wide_rows
+from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
-from truenewton.statics.load import Load
+from truenewton.statics.load import GRAVITY, Load
 
 GRADIENTS = ("coil_gradient", "bias_gradient")
 MATRICES = ("force", "position")  # with a value for each actuator
@@ -107,13 +108,23 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
     """
     described = filled(CampaignFiles, read_toml(path), path)
     folder = Path(path).parent
-    actuators = _layout_from(folder, described.positions)
+    actuators, unit = _layout_from(folder, described.positions)
     with naming(path):
         loads = [_load_of(one) for one in described.loads]
         weight, error = (_weight(getattr(described, n), n) for n in ("weight", "weight_error"))
         more = {n: getattr(described, n) for n in ("gap", "force_error", *GRADIENTS)}
     runs: dict[Load, list[dict[str, Any]]] = {}
-    lines = [f"{described.instrument}: {actuators.n} actuators, from {described.positions.file}"]
+    radii = 1e3 * np.hypot(actuators.x, actuators.y)
+    lines = [
+        f"{described.instrument}: {actuators.n} actuators, weight {_newtons(weight, error)}",
+        f"  positions {unit}, {radii.min():.4g} to {radii.max():.4g} mm from the axis:"
+        f" {described.positions.file}",
+        *(
+            f"  load {load.name}: {_newtons(load.added, load.added_error)} added"
+            for load in loads
+            if load.added
+        ),
+    ]
     for load, files in zip(loads, described.loads, strict=True):
         cycles = runs.setdefault(load, [])
         for name in files.files:
@@ -133,13 +144,19 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
     return made, tuple(lines)
 
 
-def _layout_from(folder: Path, given: PositionsFile) -> Layout:
-    """Return the layout in a file of positions."""
+def _newtons(weight: Any, error: Any) -> str:
+    """Return a weight with its standard uncertainty [N]."""
+    weight, error = (in_unit(each, "N", "weight", GRAVITY) for each in (weight, error))
+    return f"{-abs(weight):.4g} ± {abs(error):.2g} N"
+
+
+def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, str]:
+    """Return the layout in a file of positions, and a text on their unit."""
     path = folder / given.file
     with naming(path):
         found = read_positions(path)
         at = in_metres(found, Surface(given.unit or None, given.curvature, given.arc))
-        return layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled)
+        return layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled), at.notes[0]
 
 
 def _date(described: CampaignFiles, folder: Path) -> datetime.datetime:
@@ -184,7 +201,11 @@ def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) ->
             item = _column_in(stored, wanted)
         unit = item.unit or getattr(described.units, name, "")
         kind = Cycle.QUANTITIES.get(name)
-        with_unit = u.Quantity(item.values, unit) if unit and kind is not None else item.values
+        try:
+            with_unit = u.Quantity(item.values, unit) if unit and kind is not None else item.values
+        except (TypeError, ValueError):
+            remedy = f"name a unit of {kind.unit if kind else ''}, as in `import --example`"
+            raise FormatError(f"the unit of {name} is '{unit}'", remedy=remedy) from None
         values[name] = in_unit(with_unit, kind.unit, name) if kind is not None else with_unit
     if "valid" in values:
         values["valid"] = values["valid"] != 0.0
@@ -207,7 +228,11 @@ def _column_in(stored: Stored, wanted: str | int) -> Item:
         return Item(_table(stored, wanted)[:, wanted - 1])
     item = _named(stored).get(wanted.lower())
     if item is None:
-        raise FormatError(f"there is no column '{wanted}'", remedy=f"check it; {there_is(stored)}")
+        raise FormatError(
+            f"there is no column '{wanted}'",
+            remedy="name the columns of the file in the table [columns] of the description;"
+            f" the file has {listed(filter(None, _named(stored)), 12)}",
+        )
     return Item(np.squeeze(item.values), item.unit)
 
 
