@@ -31,7 +31,7 @@ smartquotes = False  # a prime is a transpose
 nitpick_ignore_regex = [
     (
         "py:class",
-        r"numpy\._typing\..*|TypeAliasForwardRef|AnyCalibration|Data|Seen|Array"
+        r"numpy\._typing\..*|TypeAliasForwardRef|pd\.DataFrame|AnyCalibration|Data|Seen|Array"
         r"|(collections\.abc\.)?Mapping\[int|tuple\[(float|Cycle)",
     )
 ]
