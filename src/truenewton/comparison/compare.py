@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar, overload
 
 import numpy as np
@@ -91,8 +90,8 @@ class Comparison(Tabulated):
         Largest singular value of the whitened residual over 2 sqrt(n): about 1 if it is noise.
     pair
         How actuators, rows and columns were matched.
-    findings
-        What was found.
+    converged
+        Whether the fit converged.
 
     Examples
     --------
@@ -119,7 +118,7 @@ class Comparison(Tabulated):
     relative_noise: float
     pattern: float
     pair: Pair
-    findings: tuple[Finding, ...] = field(default=())
+    converged: bool
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change of alpha on the map of the actuators, and return the axes."""
@@ -134,6 +133,16 @@ class Comparison(Tabulated):
                 colours=SIGNED_COLOURS,
                 limits=(-limit, limit),
             )
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What limits the errors."""
+        found = []
+        if self.pattern > MAX_PATTERN:
+            found.append(Finding.of(Code.PAIR_PATTERN, pattern=self.pattern))
+        if not self.converged:
+            found.append(Finding.of(Code.PAIR_NOT_CONVERGED))
+        return tuple(found)
 
     @property
     def verdict(self) -> Verdict:
@@ -203,10 +212,10 @@ def compare_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison:
     n = pair.layout.n
     names = [_changed(part, fit.signs[k], cov) for k, (part, cov) in enumerate(_halves(fit))]
     ratios, errors, means = [], [], np.zeros(2 * n)
-    for k, (part, _) in enumerate(_halves(fit)):
+    for k, (part, own_covariance) in enumerate(_halves(fit)):
         weights = ~names[k].changed / np.count_nonzero(~names[k].changed)
         about = np.eye(n) - weights
-        covariance = about @ _halves(fit)[k][1] @ about.T
+        covariance = about @ own_covariance @ about.T
         ratios.append(fit.signs[k] * np.exp(-about @ part))
         errors.append(np.abs(ratios[k]) * np.sqrt(np.diag(covariance)))
         means[k * n : (k + 1) * n] = weights
@@ -218,7 +227,7 @@ def compare_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison:
         for (i, j), size in zip(fit.couplings, fit.coupling_sizes, strict=True)
     )
     whitened = fit.noise.whitened(fit.unchanged)
-    comparison = Comparison(
+    return Comparison(
         instrument=old.instrument,
         layout=pair.layout,
         alpha_ratio=ratios[0],
@@ -236,9 +245,8 @@ def compare_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison:
         relative_noise=float(np.sqrt((fit.residual**2).mean())) / fit.size,
         pattern=float(np.linalg.norm(whitened, 2)) / (2.0 * math.sqrt(n)),
         pair=pair,
+        converged=fit.converged,
     )
-    object.__setattr__(comparison, "findings", tuple(_findings(comparison, fit)))
-    return comparison
 
 
 def _halves(fit: PairFit) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -248,14 +256,14 @@ def _halves(fit: PairFit) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
 
 
 @dataclass(frozen=True)
-class Population:
+class Deviations:
     """Which of n values deviate from the others, and the scatter of these beyond the errors."""
 
     changed: NDArray[np.bool_]
     scatter: float
 
 
-def _changed(values: Array, signs: Array, covariance: Array) -> Population:
+def _changed(values: Array, signs: Array, covariance: Array) -> Deviations:
     """Return which (n,) logarithms of factors deviate from the population of the others."""
     n = len(values)
     variance = np.diag(covariance) - 2.0 * covariance.mean(axis=0) + covariance.mean()
@@ -271,7 +279,7 @@ def _changed(values: Array, signs: Array, covariance: Array) -> Population:
         if (now == changed).all():
             break
         changed = now
-    return Population(np.asarray(changed), math.sqrt(scatter))
+    return Deviations(np.asarray(changed), math.sqrt(scatter))
 
 
 def _refuse_processed(pair: Pair) -> None:
@@ -307,11 +315,3 @@ def _refuse_processed(pair: Pair) -> None:
             f"the two matrices differ by {100 * residual:.0f} % beyond factors of rows and columns",
             remedy="give two complete matrices of one mirror",
         )
-
-
-def _findings(c: Comparison, fit: PairFit) -> Iterator[Finding]:
-    """Yield what limits the errors, and what was done to the matrices."""
-    if c.pattern > MAX_PATTERN:
-        yield Finding.of(Code.PAIR_PATTERN, pattern=c.pattern)
-    if not fit.converged:
-        yield Finding.of(Code.PAIR_NOT_CONVERGED)

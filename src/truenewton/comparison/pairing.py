@@ -75,9 +75,12 @@ def pair_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Pair:
         actuators.
     """
     of_old, of_new = _common(old, new)
+    selected = _paired(old, new, of_old, of_new, _selected)
+    if selected.layout.n == old.layout.n == new.layout.n:
+        return selected
     # A missing actuator exerted no force, or only its row and column were left out of the file.
-    pairs = [_paired(old, new, of_old, of_new, take) for take in (_condensed, _selected)]
-    return min(pairs, key=lambda pair: rough_residual(pair.old, pair.new))
+    condensed_pair = _paired(old, new, of_old, of_new, _condensed)
+    return min(condensed_pair, selected, key=lambda pair: rough_residual(pair.old, pair.new))
 
 
 def _paired(
