@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from functools import partial
 
 import astropy.units as u
 import numpy as np
@@ -28,6 +29,7 @@ from truenewton.calibration import methods
 from truenewton.errors import (
     CampaignMismatch,
     FormatError,
+    NotToBeUsed,
     OutputExists,
     TrueNewtonError,
     UnreadableFile,
@@ -556,7 +558,10 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     known = np.isfinite(CASE.alpha[rows])
     layout = replace(calibration.layout, enabled=known)
     calibration = replace(calibration, layout=layout, alpha=CASE.alpha[rows])
-    told = tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "20261122_101500")
+    with pytest.raises(NotToBeUsed, match=r"doubtful: .*--anyway"):
+        tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")
+    export = partial(tn.export_supervisor, tmp_path / "meas", accept_rejected=True)
+    told = export(calibration, tmp_path / "20261122_101500")
     new = {name: fits.getdata(tmp_path / "20261122_101500" / f"{name}.fits")
            for name in ("ff_matrix", "ff_list", "ff_f_svec", "ff_p_svec", "ff_sval")}  # fmt: skip
     old = fits.getdata(tmp_path / "meas" / "ff_matrix.fits")
@@ -565,7 +570,13 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     ratio = new["ff_matrix"][known] / old[known] / CASE.alpha[rows][known, None]
     np.testing.assert_allclose(ratio, 1.0, rtol=1e-12)
     np.testing.assert_array_equal(new["ff_matrix"][~known], old[~known])
-    assert "without alpha, as they were" in told[-1]
+    assert "without alpha, so not multiplied: channel " in told[-1]
+    readme = (tmp_path / "20261122_101500" / "README.txt").read_text()
+    assert readme.startswith("\n".join(told))
+    assert "verdict on alpha: doubtful: " in readme
+    assert all(f"{name}.fits" in readme for name in new)
+    assert "was MULTIPLIED by alpha" in readme
+    assert f"load the measured matrix ({TRACK})" in " ".join(readme.split())
     assert (np.diag(new["ff_matrix"]) < 0.0).all()  # the sign of the electronics
     assert (np.diff(new["ff_sval"]) >= 0.0).all()
     product = new["ff_f_svec"] * new["ff_sval"] @ new["ff_p_svec"].T
@@ -573,14 +584,17 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     header = fits.getheader(tmp_path / "20261122_101500" / "ff_matrix.fits")
     assert header["TRACKNUM"] == "20261122_101500"
     assert header["DATE"].startswith("20")
-    unnamed = tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")
-    assert f"TRACKNUM {TRACK}" in unnamed[2]
+    export(calibration, tmp_path / "new")
+    own = fits.getheader(tmp_path / "new" / "ff_matrix.fits")["TRACKNUM"]
+    assert own > "20261122_101500"
+    with pytest.raises(OutputExists, match="track number of the measured"):
+        export(calibration, tmp_path / TRACK)
     other = replace(calibration.layout, id=calibration.layout.id + 1000)
     wrong = replace(calibration, layout=other)
     with pytest.raises(CampaignMismatch, match=r"no actuator .*, which is a channel"):
-        tn.export_supervisor(tmp_path / "meas", wrong, tmp_path / "wrong")
+        export(wrong, tmp_path / "wrong")
     with pytest.raises(OutputExists):
-        tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")
+        export(calibration, tmp_path / "new")
 
 
 def test_import_says_who_is_left_out_only_if_somebody_is():

@@ -182,9 +182,11 @@ def run_export(
         ..., metavar="FOLDER", help="Supervisor's folder with ff_matrix.fits and ff_list.fits."
     ),
     calibration: Path = typer.Option(..., help="Calibration file; its IDs are the channels."),
-    output: Path = options.output("Folder to write the five files to.", ...),
+    output: Path = options.output("Folder to write the five files and README.txt to.", ...),
     segment: int | None = options.SEGMENT,
-    anyway: bool = options.ANYWAY,
+    anyway: bool = typer.Option(
+        False, "--anyway", help="Continue even if the verdict is 'doubtful' or 'rejected'."
+    ),
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ) -> None:

@@ -14,14 +14,26 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.verdict import refuse_unusable
-from truenewton.errors import CampaignMismatch, UnreadableFile
+from truenewton.calibration.verdict import refusal_of
+from truenewton.errors import CampaignMismatch, OutputExists, UnreadableFile
+from truenewton.estimation.findings.code import Level
 from truenewton.files.fits import write_fits
 from truenewton.files.format import FileFormat, Keyword
 from truenewton.files.outputs import folder_beside
 from truenewton.importers.inputs import MATRIX, TRACK_NUMBER, channels_of, only_array
 from truenewton.importers.stored import read_stored
+from truenewton.rounding import named
 
+MAX_NAMED = 12  # channels
+README = "README.txt"
+HOW_TO_USE = """
+Direction: alpha = true Newton / commanded Newton. Row i of ff_matrix was MULTIPLIED by alpha of the
+channel in row i of ff_list, and the singular values and vectors were computed again. The measured
+matrix is in commanded Newtons, this one in true Newtons. It is correct only if the electronics
+DIVIDE a requested force by alpha, or multiply it by 1 / alpha.
+
+To go back: load the measured matrix ({}) together with the previous alpha (1 for every
+channel if there was none). The measured files were not changed."""
 FORM = FileFormat(
     (
         Keyword("DATE", "date", "UTC, when this file was made", kind="date"),
@@ -42,11 +54,12 @@ def export_supervisor(
     overwrite: bool = False,
     accept_rejected: bool = False,
 ) -> tuple[str, ...]:
-    """Write the five files of a supervisor with each row of the matrix times alpha.
+    """Write the five files of a supervisor with each row of the matrix multiplied by alpha.
 
     For electronics into which alpha is loaded, so that commanded forces are true ones. The sign is
-    that of the files. TRACKNUM is the track number in the name of the output, otherwise that of the
-    files. Rows of actuators without alpha are not changed.
+    that of the files. Rows of actuators without alpha are not changed. The files have a new track
+    number: that in the name of the output, otherwise the time. README.txt beside them describes
+    each file, the direction, and how to go back.
 
     Parameters
     ----------
@@ -57,12 +70,12 @@ def export_supervisor(
     output
         Folder to write.
     overwrite, accept_rejected
-        Replace an existing folder; continue although the verdict is 'rejected'.
+        Replace an existing folder; continue although the verdict is 'doubtful' or 'rejected'.
 
     Returns
     -------
     tuple of str
-        Texts on what was done.
+        Texts on what was done, the verdict included.
 
     Raises
     ------
@@ -75,18 +88,25 @@ def export_supervisor(
     >>> fits.writeto("ff_list.fits", layout.id)
     >>> done = tn.export_supervisor(".", calibration, "in-true-newtons")
     """
-    refuse_unusable(calibration, accept_rejected=accept_rejected)
+    verdict = calibration.verdict
+    if verdict.level <= Level.DOUBTFUL and not accept_rejected:
+        raise refusal_of(verdict.level, verdict.faults[0].fault, verdict.faults[0].remedy)
     folder = Path(folder)
     channels, matrix = _measured(folder)
     alpha = _alpha_of(channels, calibration, folder)
-    stored = read_stored(folder / MATRIX)
+    old = str(read_stored(folder / MATRIX).header.get("TRACKNUM", "")).strip() or folder.name
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    in_name = TRACK_NUMBER.search(Path(output).name)
+    track = in_name[0] if in_name else f"{now:%Y%m%d_%H%M%S}"
+    if track == old:
+        remedy = "choose a name with another track number, or without one"
+        raise OutputExists(
+            "has the track number of the measured matrix", remedy=remedy, path=output
+        )
     known = np.isfinite(alpha)
     corrected = np.where(known, alpha, 1.0)[:, None] * matrix
     # U S V' = corrected; the files contain the softest singular value first
     forces, values, positions = scipy.linalg.svd(corrected)
-    named = TRACK_NUMBER.search(Path(output).name)
-    track = named[0] if named else str(stored.header.get("TRACKNUM", "")).strip() or None
-    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     parts: dict[str, tuple[str, Any, str | None]] = {
         "ff_list": ("channels of the electronics", channels, None),
         "ff_matrix": ("true force per displacement, forces in rows", corrected, "N/m"),
@@ -95,22 +115,33 @@ def export_supervisor(
         "ff_sval": ("singular values, softest first", values[::-1], "N/m"),
     }
     by = f"{calibration.instrument} {calibration.method}"[:60]
-    with folder_beside(output, (".fits",), overwrite=overwrite) as temporary:
+    lines = (
+        f"{folder}: {len(channels)} channels, each row of the matrix multiplied by alpha of"
+        f" {calibration.instrument}, {np.nanmin(alpha):.3f} .. {np.nanmax(alpha):.3f}",
+        f"  verdict on alpha: {verdict}",
+        f"  scale of alpha: {calibration.scale}",
+        "  forces are true Newtons: load alpha into the electronics together with these files",
+        f"  track number {track}; of the measured matrix: {old}",
+        *([] if known.all() else [_unchanged(channels[~known])]),
+    )
+    with folder_beside(output, (".fits", README), overwrite=overwrite) as temporary:
         for name, (content, numbers, unit) in parts.items():
             record = SimpleNamespace(
                 values=numbers, track=track, date=now, unit=unit, content=content, alpha=by
             )
             write_fits(temporary / f"{name}.fits", FORM, record)
-    lines = [
-        f"{folder}: {len(channels)} channels, rows times alpha of {calibration.instrument}, which"
-        f" is {np.nanmin(alpha):.3f} .. {np.nanmax(alpha):.3f}",
-        "  forces are true Newtons: load alpha into the electronics too",
-        f"  TRACKNUM {track or 'unknown'}",
-    ]
-    if not known.all():
-        ids = ", ".join(map(str, channels[~known][:12].tolist()))
-        lines.append(f"  without alpha, as they were: {ids}")
-    return tuple(lines)
+        contents = [
+            f"  {name + '.fits':<16}{content}{f' [{unit}]' * bool(unit)}"
+            for name, (content, _, unit) in parts.items()
+        ]
+        text = "\n".join((*lines, "", "Files:", *contents, HOW_TO_USE.format(old)))
+        (temporary / README).write_text(f"{text}\n", encoding="utf-8")
+    return lines
+
+
+def _unchanged(channels: NDArray[np.int64]) -> str:
+    """Return which channels have no alpha."""
+    return f"  without alpha, so not multiplied: {named('channel', channels.tolist(), MAX_NAMED)}"
 
 
 def _measured(folder: Path) -> tuple[NDArray[np.int64], Array]:
