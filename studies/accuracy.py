@@ -181,7 +181,7 @@ class Answer:
     """What a method says of one campaign: (n,) alpha and its errors, NaN where it gives none."""
 
     alpha: Array
-    reading_error: Array
+    statistical_error: Array
     error: Array
     undetermined: int = 0
 
@@ -189,7 +189,7 @@ class Answer:
 def by_ml(campaign: tn.Campaign) -> Answer:
     """Calibrate by maximum likelihood."""
     found = tn.calibrate(campaign)
-    return Answer(found.alpha, found.reading_error, found.error, found.diagnosis.undetermined)
+    return Answer(found.alpha, found.statistical_error, found.error, found.diagnosis.undetermined)
 
 
 def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
@@ -243,7 +243,7 @@ class Errors:
 
     known: Array  # with the weights known
     whole: Array
-    reading_error: Array
+    statistical_error: Array
     error: Array
     undetermined: Array
     failures: tuple[str, ...]
@@ -266,7 +266,7 @@ def run(
     return Errors(
         known=alpha * np.array(scales)[:, None] - simulated.alpha,
         whole=alpha - simulated.alpha,
-        reading_error=np.array([answer.reading_error for answer in answers]),
+        statistical_error=np.array([answer.statistical_error for answer in answers]),
         error=np.array([answer.error for answer in answers]),
         undetermined=np.array([answer.undetermined for answer in answers]),
         failures=tuple(failures),
@@ -316,7 +316,7 @@ def print_line(name: str, found: Errors, bound: tuple[Array, Array]) -> None:
     scatter = rms(found.known.std(axis=0, ddof=1))
     cells = (
         f"{bias:.2e}", f"{scatter:.2e}", f"{bias / scatter:.3f}", f"{scatter / rms(bound[0]):.3f}",
-        ratio(found.known, bound[0]), coverage(found.known, found.reading_error),
+        ratio(found.known, bound[0]), coverage(found.known, found.statistical_error),
         ratio(found.whole, bound[1]), coverage(found.whole, found.error),
     )  # fmt: skip
     line = "".join(f"{cell:>{width}s}" for cell, width in zip(cells, WIDTHS, strict=True))

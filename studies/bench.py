@@ -119,10 +119,10 @@ def coverage(seeds: int) -> None:
         rests.append(rest_displacement(bench))
         there = at_mean(bench, rests[-1])
         error = found.alpha - known(bench) * there
-        inside.append(np.mean(np.abs(error) < TWO_SIGMA * found.reading_error))
+        inside.append(np.mean(np.abs(error) < TWO_SIGMA * found.statistical_error))
         beside = found.alpha - bench.truth.alpha * there
         outside.append(np.mean(np.abs(beside) < TWO_SIGMA * found.error))
-        ratio.append(np.mean((error / found.reading_error) ** 2))
+        ratio.append(np.mean((error / found.statistical_error) ** 2))
         sizes.append(found.goodness.reduced)
         added = dict(zip(bench.loads, bench.truth.added, strict=True))
         exact = tuple(replace(c, load=replace(c.load, added=added[c.load])) for c in cycles)

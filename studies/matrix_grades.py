@@ -108,7 +108,7 @@ def judged(name, matrix, truth, method):
             print(f"{name:62s} refused: {error.fault[:60]}", flush=True)
             return tn.Level.NONE, 0.0
     on = np.isfinite(found.alpha)
-    alpha, error = found.alpha[on], found.reading_error[on]
+    alpha, error = found.alpha[on], found.statistical_error[on]
     size = np.nan
     if truth is not None:
         off = alpha / alpha.mean() - truth[on] / truth[on].mean()

@@ -131,7 +131,7 @@ def fate(matrix, method, truth):
         except TrueNewtonError as error:
             return "refused", f"{error.fault}", np.nan, np.nan, np.nan, time.process_time() - begin
     seconds = time.process_time() - begin
-    error, stated = np.log(made.alpha) - truth, made.reading_error / made.alpha
+    error, stated = np.log(made.alpha) - truth, made.statistical_error / made.alpha
     some = np.isfinite(error) & (stated > 0.0)
     error = error - np.mean(error[some])
     said = [each.fault for each in made.verdict.findings]

@@ -97,10 +97,10 @@ def figures(bench: StaticBench, least: Array, found: tn.Calibration) -> Array:
     patterns = (axes.T @ miss) / np.sqrt(sizes)
     return np.array([
         rms(least),
-        rms(found.reading_error) / rms(least),
+        rms(found.statistical_error) / rms(least),
         rms(miss) / rms(least),
         np.mean(patterns**2),
-        100 * np.mean(np.abs(miss) < TWO_SIGMA * found.reading_error),
+        100 * np.mean(np.abs(miss) < TWO_SIGMA * found.statistical_error),
         100 * np.mean(np.abs(patterns) < TWO_SIGMA),
         100 * np.mean(np.abs(found.alpha - bench.truth.alpha) < TWO_SIGMA * found.error),
         (true / declared - 1) * declared / bench.loads[-1].added_error,

@@ -231,7 +231,7 @@ def drifted(noise: float, runs: int, drift: float) -> None:
         made = tn.recalibrate(mirror.run(factor, random), known, [int(ids[REPLACED])])
         truth = mirror.truth.alpha[REPLACED] * 0.8
         off.append(made.calibration.alpha[REPLACED] - truth)
-        told.append(made.calibration.reading_error[REPLACED])
+        told.append(made.calibration.statistical_error[REPLACED])
         found.append(made.scatter)
         false.append(bool(made.moved))
         factor[SECOND] *= 1 + STEP
@@ -305,7 +305,7 @@ def replacements(noise: float, runs: int) -> None:
         known = mirror.earlier(random)
         made = tn.recalibrate(mirror.run(new, random), known, [int(ids[REPLACED])])
         off.append(made.calibration.alpha[REPLACED] - mirror.truth.alpha[REPLACED] * 0.8)
-        told.append(made.calibration.reading_error[REPLACED])
+        told.append(made.calibration.statistical_error[REPLACED])
         false.append(bool(made.moved))
         false_auto.append(bool(tn.recalibrate(mirror.run(np.ones(45), random), known).moved))
         made = tn.recalibrate(mirror.run(both, random), known, [int(ids[REPLACED])])

@@ -84,7 +84,7 @@ def test_two_workers_find_what_one_machine_finds(workers, folder, alone, small_t
     other = tn.calibrate(campaign, client=workers)
     assert {row.against for row in one.rejected_rows} == {"repeats"}
     assert other.rejected_rows == one.rejected_rows
-    for name in ("alpha", "reading_error", "cycle_error"):
+    for name in ("alpha", "statistical_error", "cycle_error"):
         assert getattr(other, name) == pytest.approx(getattr(one, name), rel=1e-9, nan_ok=True)
     assert other.sources == one.sources
     assert [c.name for c in campaign] == [c.name for c in tn.read(folder)]
@@ -114,7 +114,7 @@ def test_raw_samples_are_averaged_by_the_workers(workers, raw_folder):
     assert np.isfinite(one.alpha).sum() == 13
     assert other.verdict == one.verdict
     assert other.rejected_rows == one.rejected_rows
-    for name in ("alpha", "reading_error", "cycle_error"):
+    for name in ("alpha", "statistical_error", "cycle_error"):
         assert getattr(other, name) == pytest.approx(getattr(one, name), rel=1e-9, nan_ok=True)
 
 

@@ -180,8 +180,8 @@ def test_a_campaign_on_such_a_mirror_recovers_alpha(tmp_path):
     tn.acquire(device, plan, tmp_path / "c", operator=inside)
     found = tn.calibrate(tn.read(tmp_path / "c"))
     expected = bench.truth.alpha * bench.loads[1].added / bench.truth.added[1]
-    assert 0.1 < np.abs((found.alpha - expected) / found.reading_error).max() < 4.5
-    assert found.reading_error.max() < 3e-3
+    assert 0.1 < np.abs((found.alpha - expected) / found.statistical_error).max() < 4.5
+    assert found.statistical_error.max() < 3e-3
 
 
 needs_opticalib = pytest.mark.skipif(

@@ -76,7 +76,7 @@ def spoilt(data, number, change):
 def same(one, other):
     """Hold a calibration of a segment, its actuators in any order, against one of it alone."""
     order, there = np.argsort(one.layout.id), np.argsort(other.layout.id)
-    for name in ("alpha", "error", "reading_error", "systematic_error", "cycle_error"):
+    for name in ("alpha", "error", "statistical_error", "systematic_error", "cycle_error"):
         mine, yours = getattr(one, name)[order], getattr(other, name)[there]
         assert mine == pytest.approx(yours, rel=1e-6, abs=1e-9), name
     for name in ("bias_force", "bias_force_error", "noise", "weight"):

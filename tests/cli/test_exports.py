@@ -37,7 +37,7 @@ def calibration(campaign):
 
 def columns(calibration):
     c = calibration
-    return [c.layout.id, c.layout.x, c.layout.y, c.alpha, c.error, c.reading_error,
+    return [c.layout.id, c.layout.x, c.layout.y, c.alpha, c.error, c.statistical_error,
             c.systematic_error, c.cycle_error]  # fmt: skip
 
 
@@ -122,7 +122,7 @@ def text_of(html):
 
 def test_a_notebook_shows_what_the_terminal_says(campaign, calibration):
     random = np.random.default_rng(1)
-    scatter = np.nan_to_num(calibration.reading_error)
+    scatter = np.nan_to_num(calibration.statistical_error)
     days = [
         replace(
             calibration,

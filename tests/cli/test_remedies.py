@@ -200,7 +200,7 @@ def test_rounding_is_noise_and_no_outlier(noise, count):
     assert found.goodness.probability > 1e-3 or count == 1
     off = found.alpha / bench.truth.alpha
     off = off / off.mean() - 1.0  # the weights are not what they say
-    z = off / (found.reading_error / found.alpha)
+    z = off / (found.statistical_error / found.alpha)
     assert np.sqrt(np.mean(z**2)) < 1.6
     text = " | ".join(each.fault for each in found.verdict.faults)
     assert "repeated shapes scatter" not in text
@@ -275,7 +275,7 @@ def test_alpha_that_worsens_the_balance_is_the_first_finding():
     made = tn.calibrate(StiffnessMatrix("P45", START, truth.layout, k), "svd")
     line = made.imbalances[0]
     unseen = (replace(line, before=0.02, after=0.03),) * 2
-    doubtful = replace(made, imbalances=(line, *unseen), reading_error=np.ones(45))
+    doubtful = replace(made, imbalances=(line, *unseen), statistical_error=np.ones(45))
     verdict = doubtful.verdict
     assert verdict.level == "rejected"
     assert [each.code for each in verdict.faults[:2]] == [

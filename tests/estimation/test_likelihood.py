@@ -201,7 +201,7 @@ def test_turned_axes_and_other_units_leave_alpha(method, metre):
     layout = Layout(of.id, c * of.x - s * of.y, s * of.x + c * of.y, of.nz, of.enabled)
     other = changed(campaign, layout=layout, force=lambda _, cycle: 4 * cycle.force)
     one, two = calibrate(campaign, method), calibrate(other, method)
-    assert np.abs((4 * two.alpha - one.alpha) / one.reading_error).max() < 1e-5
+    assert np.abs((4 * two.alpha - one.alpha) / one.statistical_error).max() < 1e-5
     assert 4 * two.error == pytest.approx(one.error, rel=1e-6)
     assert two.noise == pytest.approx(4 * one.noise, rel=1e-9)
     # (M_y, -M_x) turn as the moments of (x, y).
@@ -217,7 +217,7 @@ def test_the_order_of_actuators_does_not_matter(method):
     other = changed(campaign, layout=shuffled, force=lambda _, c: c.force[:, order])
     one, two = calibrate(campaign, method), calibrate(other, method)
     on = shuffled.enabled
-    apart = (two.alpha - one.alpha[order]) / one.reading_error[order]
+    apart = (two.alpha - one.alpha[order]) / one.statistical_error[order]
     assert np.abs(apart[on]).max() < 1e-5
     assert np.isnan(apart[~on]).all()
     assert two.error[on] == pytest.approx(one.error[order][on], rel=1e-6)
@@ -479,7 +479,7 @@ def test_a_population_is_named_never_default_and_pulls_to_the_mean():
     assert plain.method == "ml"
     assert pooled.method.startswith("ml, population 0.")
     assert np.std(pooled.alpha) < np.std(plain.alpha)
-    assert (pooled.reading_error < plain.reading_error).mean() > 0.7
+    assert (pooled.statistical_error < plain.statistical_error).mean() > 0.7
     with pytest.raises(UnknownName, match="svd takes neither a population"):
         calibrate(campaign, "svd", population=True)
     with pytest.raises(UnknownName, match="by segment, and the data are of a mirror in one piece"):
@@ -508,7 +508,7 @@ def test_a_large_mirror_with_quiet_readings_is_calibrated():
     """672 actuators at 10 uN: what the readings and the weights say lies twelve orders apart."""
     campaign, truth = campaign_of(42, 1e-5, layout=lbt672().layout, cycles=2)
     found = calibrate(campaign)
-    error = (found.alpha - truth[:672]) / found.reading_error
+    error = (found.alpha - truth[:672]) / found.statistical_error
     assert np.sqrt(np.mean(error**2)) < 1.6  # a few patterns, and so the common scale, are shared
     assert found.diagnosis.undetermined == 0
     assert found.goodness.reduced == pytest.approx(1.0, abs=0.1)

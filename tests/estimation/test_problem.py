@@ -168,7 +168,7 @@ def test_rows_that_are_left_out_leave_sums_as_of_the_rest(monkeypatch):
     assert screened.moments.rows.sum() == 10 * 28 - made.rejected
     rest = calibrate(screened.sound)
     assert made.alpha == pytest.approx(rest.alpha, rel=1e-12)
-    assert made.reading_error == pytest.approx(rest.reading_error, rel=1e-10)
+    assert made.statistical_error == pytest.approx(rest.statistical_error, rel=1e-10)
     assert (rest.rejected, rest.invalid) == (0, made.rejected)
 
 

@@ -42,7 +42,7 @@ def test_patterns_lost_in_noise_are_named_and_the_errors_hold():
     for seed in (0, 1, 2, 3, 7):
         campaign, alpha = faint(seed)
         found = calibrate(campaign)
-        covered.append(np.mean(np.abs(found.alpha - alpha) < 1.96 * found.reading_error))
+        covered.append(np.mean(np.abs(found.alpha - alpha) < 1.96 * found.statistical_error))
         undetermined.append(found.diagnosis.undetermined)
         codes = {each.code for each in found.diagnosis.warnings}
         held.append("constrained-patterns" in codes)

@@ -56,7 +56,7 @@ def test_alpha_stands_with_three_sigma_bars_ring_by_ring(calibration):
     assert bars.lines[0].get_ydata() == pytest.approx(calibration.alpha, rel=1e-15)
     ends = np.array([s[:, 1] for s in bars.lines[2][0].get_segments()])
     half = 0.5 * (ends[:, 1] - ends[:, 0])
-    assert half == pytest.approx(3 * calibration.reading_error, rel=1e-9)
+    assert half == pytest.approx(3 * calibration.statistical_error, rel=1e-9)
     named = {text.get_text() for text in ax.texts}
     extremes = {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
     assert named == {"ring 1", "ring 2", "ring 3"} | extremes
@@ -81,7 +81,7 @@ def test_the_errors_have_a_panel_of_their_own_in_per_cent_of_alpha(calibration):
     _, below = ax.figure.axes
     assert below.get_yscale() == "log"
     drawn = {line.get_label(): line for line in below.lines}
-    for name, error in (("E_STAT, 1σ", c.reading_error), ("E_SYST, 1σ", c.systematic_error),
+    for name, error in (("E_STAT, 1σ", c.statistical_error), ("E_SYST, 1σ", c.systematic_error),
                         ("E_CYCLE, 3σ", c.cycle_error)):  # fmt: skip
         assert drawn[name].get_xdata() == pytest.approx(np.arange(1, 46))
         assert drawn[name].get_ydata() == pytest.approx(100 * error / c.alpha)

@@ -74,7 +74,7 @@ def test_a_campaign_is_calibrated_as_from_fits(cycles, folder, tmp_path, monkeyp
         campaign = tn.read(folder)  # its .h5 files; the folder in it is none
         assert isinstance(campaign.cycles[0].force, kind)
         other = tn.calibrate(campaign, "svd")
-        for name in ("alpha", "reading_error", "cycle_error"):
+        for name in ("alpha", "statistical_error", "cycle_error"):
             wanted = pytest.approx(getattr(one, name), rel=1e-9, nan_ok=True)
             assert getattr(other, name) == wanted
 
@@ -216,7 +216,7 @@ def test_streams_are_calibrated_like_cycle_files(cycles, tmp_path, inside):
     assert (code, err) == (0, "")
     plain = tn.calibrate(tn.Campaign(tuple(replace(c, position=None) for c in cycles)))
     made = tn.read_calibration(tmp_path / "alpha.fits")
-    apart = (made.alpha - plain.alpha) / plain.reading_error
+    apart = (made.alpha - plain.alpha) / plain.statistical_error
     assert np.nanmax(np.abs(apart)) < 1.0
     assert inside("info", tmp_path / "c0.h5")[0] in (0, 1, 2)
 

@@ -93,7 +93,7 @@ def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
     monkeypatch.setattr(repeats, "BLOCK_BYTES", 2**24)
     large = calibrate(campaign, method)
     assert len(other.rejected_rows) == len(large.rejected_rows)
-    for name in ("alpha", "reading_error", "cycle_error"):
+    for name in ("alpha", "statistical_error", "cycle_error"):
         assert getattr(other, name) == pytest.approx(getattr(large, name), rel=1e-8, nan_ok=True)
 
 

@@ -54,7 +54,7 @@ def large(actuators):
         layout=layout,
         loads=(),
         alpha=random.normal(1.0, 0.03, n),
-        reading_error=np.full(n, 0.005),
+        statistical_error=np.full(n, 0.005),
         systematic_error=np.zeros(n),
         cycle_error=np.full(n, np.nan),
         covariance=nothing,
@@ -94,9 +94,9 @@ def changed_by(sigmas, *, ratio=1.02):
     """Return a calibration and another whose actuator 7 moved by so many sigmas."""
     one = calibrate(campaign_of(3, 1e-4, cycles=4)[0])
     alpha = one.alpha.copy()
-    alpha[6] += sigmas * np.sqrt(2) * one.reading_error[6]
+    alpha[6] += sigmas * np.sqrt(2) * one.statistical_error[6]
     other = replace(
-        one, alpha=ratio * alpha, reading_error=ratio * one.reading_error, sources=(),
+        one, alpha=ratio * alpha, statistical_error=ratio * one.statistical_error, sources=(),
         systematic_error=ratio * one.systematic_error,
     )  # fmt: skip
     return one, other

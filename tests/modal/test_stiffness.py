@@ -393,7 +393,7 @@ def test_alpha_is_matched_by_id():
         calibration,
         layout=taken(calibration.layout, turned),
         alpha=calibration.alpha[turned],
-        reading_error=calibration.reading_error[turned],
+        statistical_error=calibration.statistical_error[turned],
         systematic_error=calibration.systematic_error[turned],
     )
     once, again = (true_stiffness(matrix, c, sensor_gain=gain) for c in (calibration, other))

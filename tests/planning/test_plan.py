@@ -97,21 +97,21 @@ def test_what_is_stated_and_what_scatters_is_what_was_predicted():
     truth = np.concatenate([alpha, np.zeros(5)])
     bound = np.sqrt(np.diag(np.linalg.inv(fisher(one, truth, noise, 4)))[:45])
     answers = [tn.calibrate(noisy(quiet, noise, seed)) for seed in range(60)]
-    stated = np.mean([c.reading_error for c in answers], axis=0)
+    stated = np.mean([c.statistical_error for c in answers], axis=0)
     scatter = np.sqrt(np.mean([(c.alpha - alpha) ** 2 for c in answers], axis=0))
-    assert stated == pytest.approx(found.reading_error, rel=0.03)
-    assert np.median(scatter / found.reading_error) == pytest.approx(1.0, abs=0.1)
-    assert np.median(found.reading_error / bound) > 1.01
+    assert stated == pytest.approx(found.statistical_error, rel=0.03)
+    assert np.median(scatter / found.statistical_error) == pytest.approx(1.0, abs=0.1)
+    assert np.median(found.statistical_error / bound) > 1.01
     unpooled = predict(one, campaign_moments(one), 4, alpha)
-    assert np.median(unpooled.reading_error / bound) > 1.05
+    assert np.median(unpooled.statistical_error / bound) > 1.05
 
 
 def test_a_planned_day_at_the_simulated_bench_gives_what_was_predicted(ready):
     found = predict_errors(ready)
     bench = replace(static_bench(p45(), 5, loads=LOADS), shapes=ready.shapes)
     calibration = tn.calibrate(Campaign(tuple(run_cycles(bench, PLAN.cycles))))
-    assert typical(calibration.reading_error, calibration.alpha) == pytest.approx(
-        typical(found.reading_error, found.alpha), rel=0.05
+    assert typical(calibration.statistical_error, calibration.alpha) == pytest.approx(
+        typical(found.statistical_error, found.alpha), rel=0.05
     )
     assert typical(calibration.error, calibration.alpha) == pytest.approx(found.typical, rel=0.01)
     each = (calibration.error / calibration.alpha) / (found.error / found.alpha)
@@ -159,10 +159,10 @@ def test_reciprocity_states_and_scatters_as_was_predicted(ready):
         bench = replace(bench, shapes=ready.shapes)
         campaign = Campaign(tuple(run_cycles(bench, plan.cycles)))
         made = tn.calibrate(campaign, "reciprocity", motion=motion)
-        stated.append(made.reading_error / made.alpha)
+        stated.append(made.statistical_error / made.alpha)
         gains.append([sensor.gain_error for sensor in made.sensors])
         squares.append((mean @ np.log(made.alpha / bench.truth.alpha)) ** 2)
-    error = found.reading_error / found.alpha
+    error = found.statistical_error / found.alpha
     assert np.mean(stated) == pytest.approx(np.mean(error), rel=0.03)
     assert np.mean(gains) == pytest.approx(np.mean(said.gain_error), rel=0.03)
     relative = np.diag(mean @ found.reading_covariance @ mean) / found.alpha**2
@@ -187,7 +187,7 @@ def test_three_loads_whose_weights_can_correct_each_other():
     found = predict(one, campaign_moments(one), 2, alpha)
     answer = tn.calibrate(noisy(quiet, noise, 1))
     assert found.error == pytest.approx(answer.error, rel=0.02)
-    assert found.reading_error == pytest.approx(answer.reading_error, rel=0.1)
+    assert found.statistical_error == pytest.approx(answer.statistical_error, rel=0.1)
     for predicted_line, line in zip(found.scale_errors[:3], answer.scale_errors, strict=False):
         assert predicted_line.source == line.source
         assert predicted_line.relative == pytest.approx(line.relative, rel=0.02)
@@ -206,8 +206,8 @@ def test_a_tilt_as_the_load(ready, tilt):
 def test_repeats_make_it_better_as_their_root(ready):
     against = predict_prepared(ready).against_cycles
     assert against.values.tolist() == [1, 2, 4, 8, 16, 32, 64]
-    assert against.reading_error == pytest.approx(
-        against.reading_error[0] / np.sqrt(against.values), rel=1e-3
+    assert against.statistical_error == pytest.approx(
+        against.statistical_error[0] / np.sqrt(against.values), rel=1e-3
     )
 
 
@@ -218,7 +218,7 @@ def test_one_load_or_equal_ones_leave_the_scale_free(ready):
         assert found.typical == np.inf
         assert found.diagnosis.warnings[0].code in ("one-load", "equal-loads")
         # Patterns are known all the same: about as well as under two loads.
-        assert 0.5 < typical(found.reading_error, found.alpha) / 3.7e-4 < 2.0
+        assert 0.5 < typical(found.statistical_error, found.alpha) / 3.7e-4 < 2.0
 
 
 def test_too_few_shapes_are_refused_and_weak_ones_warned_of(ready):
@@ -295,7 +295,7 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
     assert given.given
     half, whole = predict_errors(given), predict_errors(ready)
     # Twice, but for what the static forces say of alpha.
-    assert half.reading_error == pytest.approx(1.85 * whole.reading_error, rel=0.08)
+    assert half.statistical_error == pytest.approx(1.85 * whole.statistical_error, rel=0.08)
     assert suggest_changes(given, 1e-4)[-1].plan is None
     for wrong, said in (
         (np.zeros((45, 45)), "no more than noise"),

@@ -67,7 +67,7 @@ def test_one_cycle_under_one_load_gives_the_new_alpha_at_the_bound():
         made = tn.recalibrate(short(replaced(), random), earlier(random), [17])
         c = made.calibration
         off.append((c.alpha[NEW] - 0.8 * quiet_cycles()[1][NEW]) / bound())
-        assert c.reading_error[NEW] == pytest.approx(bound(), rel=0.1)
+        assert c.statistical_error[NEW] == pytest.approx(bound(), rel=0.1)
         alarms += bool(made.moved)
         assert (c.scale, made.asked) == ("given", (17,))
         assert made.probability > 1e-4
@@ -87,7 +87,7 @@ def test_the_error_of_the_earlier_scale_stays_common():
     p, b = after.weight, after.bias_force
     error = np.hypot(relative[0] * (p + b), after.weight_error)
     assert np.sqrt(after.systematic_covariance[45, 45]) == pytest.approx(error, rel=1e-6)
-    assert np.hypot(after.reading_error, after.systematic_error) == pytest.approx(
+    assert np.hypot(after.statistical_error, after.systematic_error) == pytest.approx(
         np.sqrt(np.diag(after.covariance)[:45]), rel=1e-9
     )
 
@@ -103,7 +103,7 @@ def test_who_changed_unannounced_is_found_and_given_anew(asked):
     assert {one.actuator: one.sigmas > 0 for one in made.moved}[31]
     c, truth = made.calibration, quiet_cycles()[1] * factor
     for place in (NEW, 30):
-        assert abs(c.alpha[place] - truth[place]) < 4 * c.reading_error[place]
+        assert abs(c.alpha[place] - truth[place]) < 4 * c.statistical_error[place]
     assert made.probability > 1e-3  # of those who stayed
 
 
@@ -140,7 +140,7 @@ def test_two_loads_with_the_same_ring_fix_no_new_scale():
     assert made.probability > 0.01
     assert made.calibration.scale == "weights"
     assert made.moved == ()
-    assert made.calibration.reading_error[NEW] < bound()
+    assert made.calibration.statistical_error[NEW] < bound()
     relative = made.calibration.systematic_error / made.calibration.alpha
     assert relative == pytest.approx(before.systematic_error / before.alpha, rel=1e-6)
 
@@ -205,7 +205,7 @@ def test_what_came_out_is_the_prior_of_the_next_run(tmp_path):
     made = tn.recalibrate(short(factor, random), tmp_path / "first.fits", [4])
     assert made.moved == ()
     c = made.calibration
-    assert abs(c.alpha[3] - 0.9 * quiet_cycles()[1][3]) < 4 * c.reading_error[3]
+    assert abs(c.alpha[3] - 0.9 * quiet_cycles()[1][3]) < 4 * c.statistical_error[3]
     assert c.systematic_error / c.alpha == pytest.approx(
         first.systematic_error / first.alpha, rel=1e-6
     )

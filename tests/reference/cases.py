@@ -126,7 +126,7 @@ def calibration_result(c: tn.Calibration) -> Result:
     )
     columns = {
         "ALPHA": c.alpha[on],
-        "E_STAT": c.reading_error[on],
+        "E_STAT": c.statistical_error[on],
         "E_SYST": c.systematic_error[on],
     }
     return Result(sentences, tuple(c.layout.id[on].tolist()), columns)
@@ -276,7 +276,7 @@ def plan() -> Result:
     sentences = tuple(f"{line.source}: {line.relative:.6g}" for line in found.scale_errors)
     columns = {
         "ALPHA": found.alpha,
-        "E_STAT": found.reading_error,
+        "E_STAT": found.statistical_error,
         "E_SYST": found.systematic_error,
     }
     return Result(sentences, tuple(found.layout.id.tolist()), columns)

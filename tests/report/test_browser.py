@@ -193,7 +193,9 @@ def test_the_table_is_downloaded_as_csv(browser, pages, p45_findings, downloads)
     c = p45_findings.calibration
     assert [int(row["ID"]) for row in rows] == list(range(1, 21))
     assert [float(row["ALPHA"]) for row in rows] == pytest.approx(c.alpha[:20], rel=1e-6)
-    assert [float(row["E_STAT"]) for row in rows] == pytest.approx(c.reading_error[:20], rel=1e-6)
+    assert [float(row["E_STAT"]) for row in rows] == pytest.approx(
+        c.statistical_error[:20], rel=1e-6
+    )
     assert [float(row["X_mm"]) for row in rows] == pytest.approx(1e3 * c.layout.x[:20], abs=1e-4)
     assert "NOISE_mN" in rows[0]
 

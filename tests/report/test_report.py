@@ -76,8 +76,8 @@ def test_a_fit_worse_than_its_noise_is_used_with_care():
     assert any("the model does not fit" in each.fault for each in judged.advice)
     # As uncertain as four repeats of that noise would be.
     sound, found = investigate(campaign).calibration, investigate(bent).calibration
-    assert np.mean(found.reading_error / sound.reading_error) > 10
-    sigmas = (found.alpha - sound.alpha) / found.reading_error
+    assert np.mean(found.statistical_error / sound.statistical_error) > 10
+    sigmas = (found.alpha - sound.alpha) / found.statistical_error
     assert np.sqrt(np.mean(sigmas**2)) < 2
 
 

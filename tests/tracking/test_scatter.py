@@ -212,7 +212,7 @@ def test_others_that_drifted_a_little_name_nobody_and_the_new_alpha_is_covered()
     for seed in range(12):
         run, known, factor = run_and_known(seed, 1e-3)
         made = tn.recalibrate(run, known, [17])
-        error = made.calibration.reading_error[16]
+        error = made.calibration.statistical_error[16]
         off.append((made.calibration.alpha[16] - quiet_cycles()[1][16] * factor[16]) / error)
         scatter.append(made.scatter)
         named += bool(made.moved)

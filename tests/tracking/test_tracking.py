@@ -305,7 +305,7 @@ def test_two_units_of_one_name_are_told_apart():
     # Nor is it hidden by a day that is so noisy that it may be anything.
     noise = 1 + 0.25 * np.random.default_rng(4).standard_normal(45)
     wild = dataclasses.replace(
-        days[1], alpha=days[1].alpha * noise, reading_error=0.2 * days[1].alpha
+        days[1], alpha=days[1].alpha * noise, statistical_error=0.2 * days[1].alpha
     )
     with pytest.raises(CampaignMismatch, match="one unit"):
         tn.track(days[0], wild, *other)

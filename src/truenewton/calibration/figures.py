@@ -50,7 +50,7 @@ def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     with styled_axes(ax, 1.2 if own else 0.75) as ax:
         layout, alpha = calibration.layout, calibration.column("alpha")
         numbers, few = numbers_by_ring(layout), layout.n <= NAMED
-        error = 3 * calibration.column("reading_error")
+        error = 3 * calibration.column("statistical_error")
         ax.errorbar(
             numbers, alpha, yerr=error, fmt="o", color=ACCENT, ecolor=INK,
             markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
@@ -92,7 +92,7 @@ def plot_errors(calibration: HasColumns, ax: Axes | None = None) -> Axes:
         for name, error, mark, colour in (
             ("E_SYST, 1σ", c.column("systematic_error"), "_", CURVES[4]),
             ("E_CYCLE, 3σ", c.column("cycle_error"), "s", CURVES[1]),
-            ("E_STAT, 1σ", c.column("reading_error"), "o", CURVES[0]),
+            ("E_STAT, 1σ", c.column("statistical_error"), "o", CURVES[0]),
         ):
             known = error > 0.0  # false of NaN, too
             if known.any():

@@ -475,7 +475,7 @@ def _numbers_of(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         **attributes(estimate, *(each.name for each in fields(EstimateFacts))),
         "scale": str(estimate.scale),
         "alpha": spread(estimate.values[:n], on),
-        "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
+        "statistical_error": spread(np.sqrt(np.diag(reading)[:n]), on),
         "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
         "covariance": spread_covariance(reading + systematic, on),
         "systematic_covariance": spread_covariance(systematic, on),
@@ -518,7 +518,7 @@ def _without(calibration: Calibration, ids: Sequence[int]) -> Calibration:
     out = np.isin(layout.id, ids) & layout.enabled
     if not out.any():
         return calibration
-    names = ("alpha", "reading_error", "systematic_error", "cycle_error", "halves")
+    names = ("alpha", "statistical_error", "systematic_error", "cycle_error", "halves")
     values = attributes(calibration, *names)
     changed: dict[str, Any] = {
         k: np.where(out, np.nan, v) for k, v in values.items() if v is not None

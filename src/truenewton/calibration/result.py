@@ -73,8 +73,8 @@ class Calibration(Result, EstimateFacts):
         The n actuators; the L loads, empty for a stiffness file.
     alpha
         (n,) true Newton / commanded Newton.
-    reading_error, systematic_error, cycle_error
-        (n,) E_STAT from reading noise, E_SYST from the weights, E_CYCLE as in the paper.
+    statistical_error, systematic_error, cycle_error
+        (n,) E_STAT from the readings, E_SYST from the weights, E_CYCLE as in the paper.
     covariance, systematic_covariance
         (n + 1 + 2L, n + 1 + 2L) of alpha, B, then M_y, M_x of each load; all, and the part from
         the weights.
@@ -134,7 +134,7 @@ class Calibration(Result, EstimateFacts):
     date_end: datetime.datetime
     layout: Layout
     alpha: Array
-    reading_error: Array
+    statistical_error: Array
     systematic_error: Array
     covariance: Array
     systematic_covariance: Array
@@ -155,7 +155,7 @@ class Calibration(Result, EstimateFacts):
     halves: Array | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, "alpha", "reading_error", "systematic_error", "cycle_error", "covariance",
+        freeze(self, "alpha", "statistical_error", "systematic_error", "cycle_error", "covariance",
                "systematic_covariance", "torque_y", "torque_x")  # fmt: skip
         fault = next(self._faults(), None)
         if fault:
@@ -170,7 +170,7 @@ class Calibration(Result, EstimateFacts):
         alpha = np.abs(self.alpha[self.layout.enabled])
         if not (alpha.size and np.isfinite(alpha).all() and alpha.all()):
             yield "ALPHA holds no usable numbers"
-        for name, errors in (("E_STAT", self.reading_error), ("E_SYST", self.systematic_error),
+        for name, errors in (("E_STAT", self.statistical_error), ("E_SYST", self.systematic_error),
                              ("E_CYCLE", self.cycle_error),
                              ("COVARIANCE", np.diag(self.covariance))):  # fmt: skip
             if (errors < 0).any() or np.isinf(errors).any():
@@ -210,7 +210,7 @@ class Calibration(Result, EstimateFacts):
     @property
     def error(self) -> Array:
         """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
-        return np.asarray(np.hypot(self.reading_error, self.systematic_error))
+        return np.asarray(np.hypot(self.statistical_error, self.systematic_error))
 
     @property
     def degrees_of_freedom(self) -> int | None:
@@ -326,7 +326,7 @@ ACTUATORS = TableFormat(
         Y,
         Column("ALPHA", "alpha"),
         Column("E_ALPHA", lambda c: c.error),
-        Column("E_STAT", "reading_error"),
+        Column("E_STAT", "statistical_error"),
         Column("E_SYST", "systematic_error"),
         Column("E_CYCLE", "cycle_error"),
         Column("HALVES", "halves", absent=None),
@@ -505,7 +505,7 @@ def _refuse_disagreement(file: FitsFile, values: dict[str, Any]) -> None:
     """Refuse errors of alpha that are not those of the covariances."""
     n, systematic = values["alpha"].size, values["systematic_error"] ** 2
     for names, errors, matrix in (
-        ("E_STAT and E_SYST", values["reading_error"] ** 2 + systematic, "covariance"),
+        ("E_STAT and E_SYST", values["statistical_error"] ** 2 + systematic, "covariance"),
         ("E_SYST", systematic, "systematic_covariance"),
     ):
         variances = np.diag(values[matrix])[:n]

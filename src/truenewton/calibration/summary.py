@@ -260,7 +260,7 @@ def _symmetry(c: Calibration) -> Iterator[tuple[str, str, str]]:
 def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
     """Yield the rows that say where the error comes from."""
     scale, readings = (
-        percent(typical(error, c.alpha)) for error in (c.systematic_error, c.reading_error)
+        percent(typical(error, c.alpha)) for error in (c.systematic_error, c.statistical_error)
     )
     stated = typical(c.systematic_error, c.alpha) > NO_ERROR
     note = "E_SYST, from the weights" if stated else "the weights are given without errors"
@@ -272,7 +272,7 @@ def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
         name = "" if k else "    undetectable here"
         yield name, "" if k else "not in E_ALPHA", f"{percent(error.relative)} if {error.name}"
     biased = ", scatter only: svd is biased besides" if c.method == "svd" else ""
-    yield "  reading noise", readings, f"E_STAT{biased}"
+    yield "  statistical", readings, f"E_STAT, from the readings{biased}"
     if np.isfinite(c.cycle_error).any():
         ends = map(significant, (np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)))
         note = "E_CYCLE, 3 sigma, as in Ricci 2008; for comparison"
@@ -294,8 +294,8 @@ def error_budget(c: Calibration) -> dict[str, float]:
         return {}
     parts = {
         "typical actuator, all": typical(c.error, c.alpha),
-        "typical actuator, readings": typical(c.reading_error, c.alpha),
-        "typical actuator, weights": typical(c.systematic_error, c.alpha),
+        "typical actuator, statistical": typical(c.statistical_error, c.alpha),
+        "typical actuator, scale": typical(c.systematic_error, c.alpha),
     }
     if c.scale_errors:
         parts["common scale, all"] = scale_total(c.scale_errors)

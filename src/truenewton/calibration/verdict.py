@@ -178,7 +178,7 @@ def _senseless(c: Calibration) -> Iterator[Finding]:
     weighed = c.scale == Scale.WEIGHTS
     if weighed and (not c.loads or np.ptp(weights_along_axis(c)) == 0.0):
         yield Finding.of(Code.NO_OTHER_LOAD)
-    error = typical(c.reading_error, c.alpha)  # a scale that is known badly is known to be so
+    error = typical(c.statistical_error, c.alpha)  # a scale that is known badly is known to be so
     if error > LIMITS.relative_error:
         similar = similar_loads(weights_along_axis(c)) if weighed else None
         if similar:
@@ -233,14 +233,14 @@ def _of_result(c: Calibration) -> Iterator[Finding]:
     named = {actuator for effect in c.effects for actuator in effect.actuators}
     middle = np.nanmedian(c.alpha)
     spread = 1.4826 * np.nanmedian(np.abs(c.alpha - middle))
-    far = np.abs(c.alpha - middle) > LIMITS.outlier_spreads * np.hypot(spread, c.reading_error)
+    far = np.abs(c.alpha - middle) > LIMITS.outlier_spreads * np.hypot(spread, c.statistical_error)
     for k in np.flatnonzero(far):
         if c.layout.id[k] not in named:
-            dead = abs(c.alpha[k]) < MAX_ALPHA_SIGMAS * c.reading_error[k]
+            dead = abs(c.alpha[k]) < MAX_ALPHA_SIGMAS * c.statistical_error[k]
             yield Finding.of(
                 Code.ALPHA_ZERO if dead else Code.ALPHA_OUTLIER,
                 actuators=[c.layout.id[k]],
-                alpha=with_error(float(c.alpha[k]), float(c.reading_error[k])),
+                alpha=with_error(float(c.alpha[k]), float(c.statistical_error[k])),
             )
 
 
@@ -302,7 +302,7 @@ def unit_fault(c: Calibration) -> Finding | None:
     Or that no load is seen in the forces: then alpha is large, but no more than noise.
     """
     median = float(np.nanmedian(c.alpha))
-    if c.scale == Scale.WEIGHTS and typical(c.reading_error, c.alpha) > LIMITS.relative_error:
+    if c.scale == Scale.WEIGHTS and typical(c.statistical_error, c.alpha) > LIMITS.relative_error:
         return NO_LOAD_SEEN if abs(median) > LIMITS.highest_alpha else None
     alike = np.abs(c.alpha[c.layout.enabled] / median - 1.0) < MAX_DEVIATION
     if LIMITS.lowest_alpha < abs(median) < LIMITS.highest_alpha or np.mean(alike) < MIN_LIKE_OTHERS:
@@ -339,7 +339,7 @@ def scale_faults(c: Calibration) -> Iterator[Finding]:
     """Yield that the weights limit the common scale, or are given without their errors."""
     if c.scale == Scale.MEAN_ONE:
         return
-    weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
+    weights, readings = typical(c.systematic_error, c.alpha), typical(c.statistical_error, c.alpha)
     if c.scale == Scale.WEIGHTS:
         alike = similar_loads(weights_along_axis(c))
         if alike and typical(c.error, c.alpha) > SIMILAR_LOADS_FRACTION:

@@ -189,7 +189,7 @@ def compare_calibrations(one: AnyCalibration, other: AnyCalibration) -> Change:
         )
     ratio = float(np.median(other.alpha[both] / one.alpha[both]))
     moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
-    error = np.hypot(one.reading_error, other.reading_error / ratio)
+    error = np.hypot(one.statistical_error, other.statistical_error / ratio)
     scales = [
         typical(c.systematic_error, c.alpha) for c in (one, other) if c.scale != Scale.MEAN_ONE
     ]

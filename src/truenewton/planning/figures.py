@@ -28,7 +28,7 @@ def plot_plan(outcome: PlanPrediction, target: float | None = None) -> Axes:
         better = outcome.reciprocity.against_cycles
         if better.values.size:
             first.plot(
-                better.values, 100 * better.reading_error, "-.", color=INK, linewidth=0.8,
+                better.values, 100 * better.statistical_error, "-.", color=INK, linewidth=0.8,
                 label="from the readings, by reciprocity",
             )  # fmt: skip
         first.set_xlabel("cycles")
@@ -47,7 +47,7 @@ def _panel(ax: Axes, x: Array, curve: Curve, planned: float, target: float | Non
     """Draw the curves against x, where the plan stands at one of the points."""
     for values, line, colour, width, name in (
         (curve.error, "-", ACCENT, 1.8, "E_ALPHA"),
-        (curve.reading_error, "--", INK, 0.8, "from the readings"),
+        (curve.statistical_error, "--", INK, 0.8, "from the readings"),
         (curve.systematic_error, ":", FAINT, 1.2, "from the weights"),
     ):
         if np.isfinite(values).all():

@@ -83,7 +83,7 @@ class Curve:
     values: Array  # (m,) cycles, or factors of the added weights
     # (m,) medians of E_ALPHA, E_STAT and E_SYST, relative to alpha
     error: Array
-    reading_error: Array
+    statistical_error: Array
     systematic_error: Array
 
 

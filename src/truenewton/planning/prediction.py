@@ -59,7 +59,7 @@ class Prediction:
         return not self.scale_errors
 
     @property
-    def reading_error(self) -> Array:
+    def statistical_error(self) -> Array:
         """(n,) E_STAT; of patterns alone where the scale is free."""
         return np.sqrt(np.diag(self.reading_covariance))
 
@@ -73,14 +73,14 @@ class Prediction:
     @property
     def error(self) -> Array:
         """(n,) E_ALPHA."""
-        return np.hypot(self.reading_error, self.systematic_error)
+        return np.hypot(self.statistical_error, self.systematic_error)
 
     @property
     def typical_errors(self) -> tuple[float, float, float]:
         """Medians over actuators of E_ALPHA, E_STAT and E_SYST, relative to alpha."""
         error, statistical, systematic = (
             typical(each, self.alpha)
-            for each in (self.error, self.reading_error, self.systematic_error)
+            for each in (self.error, self.statistical_error, self.systematic_error)
         )
         return error, statistical, systematic
 

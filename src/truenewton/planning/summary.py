@@ -52,7 +52,7 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
     order = mountings(plan, shapes)
     readings = 2 * shapes * plan.cycles * len(plan.loads)
     rows += [
-        ("  reading noise", percent(from_readings),
+        ("  statistical", percent(from_readings),
          f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
         ("least certain pattern", prediction.diagnosis.weakest,
          f"{percent(prediction.diagnosis.weakest_share)} of the variance E_STAT^2"),
@@ -74,7 +74,7 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
     yield "  typical errors of alpha against"
     yield from _table("cycles", outcome.against_cycles)
     if outcome.reciprocity.planned is not None:
-        error = outcome.reciprocity.against_cycles.reading_error.tolist()
+        error = outcome.reciprocity.against_cycles.statistical_error.tolist()
         yield f"      {'by reciprocity':<20}" + "".join(f"{percent(e):>9}" for e in error)
     yield from _table("added weights, times", outcome.against_weight)
     yield from warning_lines(outcome.warnings)
@@ -107,7 +107,7 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
     if not found.planned.scale_is_free:
         rows.append(("error of alpha", percent(error), "E_ALPHA, typical"))
     rows.append(
-        ("reading noise", percent(from_readings),
+        ("statistical", percent(from_readings),
          f"E_STAT, positions read to {1e9 * sensors.noise:.2g} nm")
     )  # fmt: skip
     if sensors.gain:
@@ -178,7 +178,7 @@ def _table(name: str, curve: Curve) -> Iterator[str]:
     """Yield a curve: its values and the finite errors."""
     if curve.values.size:
         yield f"    {name:<22}" + "".join(f"{value:>9g}" for value in curve.values.tolist())
-        for kind, error in (("E_ALPHA", curve.error), ("E_STAT", curve.reading_error)):
+        for kind, error in (("E_ALPHA", curve.error), ("E_STAT", curve.statistical_error)):
             if error[0] < float("inf"):
                 yield f"      {kind:<20}" + "".join(f"{percent(e):>9}" for e in error.tolist())
 
@@ -223,7 +223,7 @@ def values(
         **attributes(prediction, "scale_errors"),
         "actuators": {
             "id": prediction.layout.id[prediction.layout.enabled],
-            **attributes(prediction, "alpha", e_alpha="error", e_stat="reading_error"),
+            **attributes(prediction, "alpha", e_alpha="error", e_stat="statistical_error"),
             "e_syst": prediction.systematic_error,
         },
         "reciprocity": _reciprocity_values(outcome),
@@ -260,7 +260,7 @@ def _typical_values(prediction: Prediction) -> dict[str, float]:
 
 
 def _curve_values(name: str, curve: Curve) -> dict[str, Any]:
-    return {name: curve.values, **attributes(curve, "error", e_stat="reading_error")}
+    return {name: curve.values, **attributes(curve, "error", e_stat="statistical_error")}
 
 
 def _reciprocity_values(outcome: PlanPrediction) -> dict[str, Any]:
@@ -271,7 +271,7 @@ def _reciprocity_values(outcome: PlanPrediction) -> dict[str, Any]:
     return {
         **_typical_values(found.planned),
         "actuators": {
-            **attributes(found.planned, e_alpha="error", e_stat="reading_error"),
+            **attributes(found.planned, e_alpha="error", e_stat="statistical_error"),
             **attributes(found, e_gain="gain_error", e_offset="offset_error"),
         },
         "cycles": _curve_values("cycles", found.against_cycles),

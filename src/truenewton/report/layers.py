@@ -23,7 +23,7 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
     layers = [
         alpha_layer(c, "alpha", "alpha"),
         Layer("e_alpha", "error of alpha", "", c.error, "Total standard uncertainty (E_ALPHA)."),
-        Layer("e_stat", "statistical (E_STAT)", "", c.reading_error,
+        Layer("e_stat", "statistical (E_STAT)", "", c.statistical_error,
               "Standard uncertainty from the noise of the readings (E_STAT): it applies between"
               " actuators of one calibration."),
         Layer("e_syst", "scale (E_SYST)", "", scale_error,

@@ -170,7 +170,12 @@ def _law(given: Sequence[Named], *, accept_rejected: bool) -> Tracking:
         scatter_degrees=scatter.degrees,
         days=tuple(
             DayRecord(
-                day.name, day.date, c.temperature, c.alpha, c.reading_error, str(c.verdict.level)
+                day.name,
+                day.date,
+                c.temperature,
+                c.alpha,
+                c.statistical_error,
+                str(c.verdict.level),
             )
             for day, c in ((day, day.calibration) for day in days)
         ),
@@ -183,7 +188,7 @@ def _refuse_other_units(days: Sequence[DatedCalibration], on: NDArray[np.bool_])
     ratio = alpha / alpha[0]
     ratio /= np.median(ratio, axis=1)[:, None]  # the scales may differ
     apart = np.median(np.abs(ratio - 1.0), axis=1)
-    error = np.median([day.calibration.reading_error[on] for day in days] / alpha, axis=1)
+    error = np.median([day.calibration.statistical_error[on] for day in days] / alpha, axis=1)
     excess = apart - OTHER_UNIT - 3 * np.hypot(error, error[0])
     worst = int(np.argmax(excess))
     if excess[worst] > 0.0:

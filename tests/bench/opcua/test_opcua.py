@@ -112,9 +112,9 @@ def test_serve_then_a_campaign_over_opc_ua_recovers_alpha(tmp_path):
     assert (server.returncode, out, err) == (0, "", "")
     found = tn.calibrate(tn.read(tmp_path / "campaign"))
     expected = bench.truth.alpha * bench.loads[1].added / bench.truth.added[1]
-    pull = (found.alpha - expected) / found.reading_error
+    pull = (found.alpha - expected) / found.statistical_error
     assert 0.1 < np.abs(pull).max() < 4.5
-    assert found.reading_error.max() < 3e-3
+    assert found.statistical_error.max() < 3e-3
     assert found.goodness.probability > 0.01
 
 

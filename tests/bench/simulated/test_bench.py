@@ -109,22 +109,22 @@ def test_a_closed_loop_campaign_fits_and_gives_alpha_within_its_errors():
     # At the mean place of the campaign: 50 nm off, other under each load, by 600 /m.
     there = 1 + 600 * rest_displacement(plan).mean(axis=0)
     expected = plan.truth.alpha * plan.loads[1].added / plan.truth.added[1]
-    sigmas = [(found.alpha - expected * place) / found.reading_error for place in (there, 1.0)]
+    sigmas = [(found.alpha - expected * place) / found.statistical_error for place in (there, 1.0)]
     at_mean, at_nominal = np.sqrt(np.mean(np.square(sigmas), axis=1))
     assert at_mean < 1.5 < at_nominal
-    assert found.reading_error.max() < 1e-4
+    assert found.statistical_error.max() < 1e-4
     bare = tuple(replace(c, coil_gradient=None, bias_gradient=None) for c in cycles)
     told = tn.calibrate(tn.Campaign(bare))
     sizes = {name: sum(e.size for e in told.effects if e.name == name)
              for name in ("coil gradient", "bias gradient")}  # fmt: skip
     assert sizes == pytest.approx({"coil gradient": 600, "bias gradient": 31}, rel=0.05)
     assert all(effect.corrected for effect in told.effects)
-    sigmas = (told.alpha - expected * there) / told.reading_error
+    sigmas = (told.alpha - expected * there) / told.statistical_error
     assert np.sqrt(np.mean(sigmas**2)) < 2
     told = tn.calibrate(tn.Campaign(tuple(replace(c, position=None) for c in bare)))
     assert told.effects
     assert not any(effect.corrected for effect in told.effects)
-    assert told.reading_error.mean() > 3 * found.reading_error.mean()
+    assert told.statistical_error.mean() > 3 * found.statistical_error.mean()
 
 
 def test_unknown_fidelity_and_a_gap_that_closes_are_refused():

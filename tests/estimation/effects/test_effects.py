@@ -620,7 +620,7 @@ def test_undeclared_gradients_lose_no_rows_and_less_than_a_fiftieth_of_a_per_cen
         told = sum(e.size for e in found.effects if e.name == name and e.corrected)
         assert told == pytest.approx(size * position, rel=0.05)
     assert position or not any(effect.corrected for effect in found.effects)
-    assert np.mean(np.abs(found.alpha - alpha) < 1.96 * found.reading_error) > 0.85
+    assert np.mean(np.abs(found.alpha - alpha) < 1.96 * found.statistical_error) > 0.85
 
 
 def test_spikes_are_outliers_still_where_gradients_disturb():

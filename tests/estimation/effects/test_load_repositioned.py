@@ -47,7 +47,7 @@ def test_alpha_is_as_good_as_with_one_mounting(noise, seeds):
         once = tn.calibrate(put_on_again(seed, noise, 0.0)[0])
         assert not once.effects
         ratio.append(np.sum((found.alpha - alpha) ** 2) / np.sum((once.alpha - alpha) ** 2))
-        pull.append(np.mean(((found.alpha - alpha) / found.reading_error) ** 2))
+        pull.append(np.mean(((found.alpha - alpha) / found.statistical_error) ** 2))
     assert np.sqrt(np.mean(ratio)) < 1.5
     assert np.mean(pull) < 1.5
 

@@ -57,7 +57,7 @@ def test_stated_scatter_is_the_scatter_over_campaigns():
         campaign = noisy(quiet, 2e-3, [99, k])
         calibration = calibrate(campaign)
         alphas.append(calibration.alpha)
-        stated.append(calibration.reading_error**2)
+        stated.append(calibration.statistical_error**2)
     scatter = np.std(alphas, axis=0, ddof=1)
     ratio = np.sqrt(np.mean(stated, axis=0)) / scatter
     assert ratio.mean() == pytest.approx(1.0, abs=0.05)

@@ -185,7 +185,7 @@ def test_a_campaign_gives_better_alpha_and_the_sensors(tmp_path):
         np.median(by_balance.systematic_error / by_balance.alpha),
         rtol=1e-3,
     )
-    assert np.median(made.reading_error) < 0.6 * np.median(by_balance.reading_error)
+    assert np.median(made.statistical_error) < 0.6 * np.median(by_balance.statistical_error)
     gain = np.log([sensor.gain for sensor in made.sensors])
     stated = np.array([sensor.gain_error for sensor in made.sensors])
     assert np.std(gain - np.log(truth.sensor_gain)) < 2.0 * np.sqrt(np.mean(stated**2))

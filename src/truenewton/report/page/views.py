@@ -140,7 +140,7 @@ def alpha_by_ring(
 ) -> Plot:
     """Return alpha by ring, with bars of 3 E_STAT."""
     plot, layout = _empty_plot(), calibration.layout
-    alpha, error = calibration.column("alpha"), calibration.column("reading_error")
+    alpha, error = calibration.column("alpha"), calibration.column("statistical_error")
     source.data["low"], source.data["high"] = alpha - 3 * error, alpha + 3 * error
     plot.segment(x0="number", x1="number", y0="low", y1="high", source=source, line_color=INK,
                  nonselection_line_alpha=0.2)  # fmt: skip
