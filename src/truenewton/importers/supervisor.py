@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -105,16 +106,6 @@ def export_supervisor(
         )
     known = np.isfinite(alpha)
     corrected = np.where(known, alpha, 1.0)[:, None] * matrix
-    # U S V' = corrected; the files contain the softest singular value first
-    forces, values, positions = scipy.linalg.svd(corrected)
-    parts: dict[str, tuple[str, Any, str | None]] = {
-        "ff_list": ("channels of the electronics", channels, None),
-        "ff_matrix": ("true force per displacement, forces in rows", corrected, "N/m"),
-        "ff_f_svec": ("force singular vectors, one a column", forces[:, ::-1], None),
-        "ff_p_svec": ("position singular vectors, one a column", positions[::-1].T, None),
-        "ff_sval": ("singular values, softest first", values[::-1], "N/m"),
-    }
-    by = f"{calibration.instrument} {calibration.method}"[:60]
     lines = (
         f"{folder}: {len(channels)} channels, each row of the matrix multiplied by alpha of"
         f" {calibration.instrument}, {np.nanmin(alpha):.3f} .. {np.nanmax(alpha):.3f}",
@@ -125,18 +116,30 @@ def export_supervisor(
         *([] if known.all() else [_unchanged(channels[~known])]),
     )
     with folder_beside(output, (".fits", README), overwrite=overwrite) as temporary:
-        for name, (content, numbers, unit) in parts.items():
-            record = SimpleNamespace(
-                values=numbers, track=track, date=now, unit=unit, content=content, alpha=by
-            )
-            write_fits(temporary / f"{name}.fits", FORM, record)
-        contents = [
-            f"  {name + '.fits':<16}{content}{f' [{unit}]' * bool(unit)}"
-            for name, (content, _, unit) in parts.items()
-        ]
+        by = f"{calibration.instrument} {calibration.method}"[:60]
+        contents = _write_files(temporary, channels, corrected, track=track, date=now, alpha=by)
         text = "\n".join((*lines, "", "Files:", *contents, HOW_TO_USE.format(old)))
         (temporary / README).write_text(f"{text}\n", encoding="utf-8")
     return lines
+
+
+def _write_files(
+    folder: Path, channels: NDArray[np.int64], matrix: Array, **values: Any
+) -> Iterator[str]:
+    """Write the five files of an (m, m) matrix, and yield what each contains."""
+    # U S V' = matrix; the files contain the softest singular value first
+    forces, sizes, positions = scipy.linalg.svd(matrix)
+    parts: dict[str, tuple[str, Any, str | None]] = {
+        "ff_list": ("channels of the electronics", channels, None),
+        "ff_matrix": ("true force per displacement, forces in rows", matrix, "N/m"),
+        "ff_f_svec": ("force singular vectors, one a column", forces[:, ::-1], None),
+        "ff_p_svec": ("position singular vectors, one a column", positions[::-1].T, None),
+        "ff_sval": ("singular values, softest first", sizes[::-1], "N/m"),
+    }
+    for name, (content, numbers, unit) in parts.items():
+        record = SimpleNamespace(values=numbers, unit=unit, content=content, **values)
+        write_fits(folder / f"{name}.fits", FORM, record)
+        yield f"  {name + '.fits':<16}{content}{f' [{unit}]' * bool(unit)}"
 
 
 def _unchanged(channels: NDArray[np.int64]) -> str:
