@@ -48,6 +48,7 @@ nb_execution_raise_on_error = True
 nb_merge_streams = True
 
 autodoc_type_aliases = {"Array": "numpy.typing.ArrayLike"}
+autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
