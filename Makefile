@@ -57,10 +57,9 @@ types: .venv-test/ready
 contracts: .venv-test/ready
 	.venv-test/bin/lint-imports
 
-# The packages as a picture, from the import contract; the constants of estimation; what is largest.
+# The packages as a picture, from the import contract; what is largest.
 house: .venv-test/ready
 	.venv-test/bin/python docs/house.py
-	.venv-test/bin/python docs/constants.py
 
 sizes: .venv-test/ready
 	.venv-test/bin/python docs/house.py --sizes

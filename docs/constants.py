@@ -1,6 +1,6 @@
 """The numeric constants of estimation, each with the comment beside or above it in its module.
 
-python docs/constants.py    writes docs/constants.md
+python docs/constants.py    prints the tables that the site's page of constants shows
 """
 
 from __future__ import annotations
@@ -13,13 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 SOURCE = Path(__file__).parent.parent / "src"
-PAGE = Path(__file__).with_name("constants.md")
-START = """# Constants
-
-These numbers in `truenewton.estimation` decide what a calibration does with data. `make house`
-writes this page from the comments in the modules. The thresholds between the grades of a result
-are in [Verdict](verdict.md#thresholds).
-"""
 
 
 def constants(path: Path) -> Iterator[tuple[str, str | None, str]]:
@@ -44,16 +37,16 @@ def constants(path: Path) -> Iterator[tuple[str, str | None, str]]:
                 yield name, ast.get_source_segment(text, value), reason.replace("|", r"\|")
 
 
-def page() -> str:
-    """Return the page: a table of constants for each package."""
-    tables: dict[str, str] = {}
+def tables() -> str:
+    """Return a table of constants for each package."""
+    found: dict[str, str] = {}
     for path in sorted((SOURCE / "truenewton" / "estimation").rglob("*.py")):
         for name, value, reason in constants(path):
             head = f"\n## {path.parent.name}\n\n| constant | value | reason |\n|---|---|---|\n"
             row = f"| [`{name}`](../{path.relative_to(SOURCE.parent)}) | `{value}` | {reason} |\n"
-            tables[head] = tables.get(head, head) + row
-    return START + "".join(tables.values())
+            found[head] = found.get(head, head) + row
+    return "".join(found.values())
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
+    print(tables())

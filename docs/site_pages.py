@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import constants
 from docutils import nodes
 from sphinx.addnodes import download_reference, pending_xref
 from sphinx.application import Sphinx
@@ -33,6 +34,14 @@ class CommandLine(SphinxDirective):
         group: Any = get_command(app)
         lines = [line for name, each in group.commands.items() for line in _command(name, each)]
         return self.parse_text_to_nodes("\n".join(lines), allow_section_headings=True)
+
+
+class Constants(SphinxDirective):
+    """The numbers that decide about data, each with its reason, by package."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return a section a package."""
+        return self.parse_text_to_nodes(constants.tables(), allow_section_headings=True)
 
 
 def _command(name: str, command: Any) -> list[str]:
@@ -70,11 +79,14 @@ class SourceLinks(SphinxPostTransform):
 
 
 def pages_of_the_root(_: Sphinx, page: str, source: list[str]) -> None:
-    """Show CONTRIBUTING and CHANGELOG, whose links start from the root, as pages."""
-    if page in ("contributing", "changelog"):
-        text = (ROOT / f"{page.upper()}.md").read_text(encoding="utf-8")
+    """Show README, CONTRIBUTING and CHANGELOG, whose links start from the root, as pages."""
+    name = {"index": "README"}.get(page, page.upper())
+    if page in ("index", "contributing", "changelog"):
+        text = (ROOT / f"{name}.md").read_text(encoding="utf-8")
         text = text.replace("](docs/", "](").replace("](src/", "](../src/")
-        source[0] = IMAGE.sub(_directive, text)
+        text = text.replace("](CONTRIBUTING.md)", "](contributing.md)")
+        text = text.replace("](CITATION.cff)", "](../CITATION.cff)")
+        source[0] = IMAGE.sub(_directive, text) + ("\n" + source[0] if page == "index" else "")
 
 
 def _directive(image: re.Match[str]) -> str:
@@ -120,6 +132,7 @@ def setup(sphinx: Sphinx) -> dict[str, bool]:
     """Register all of it."""
     languages["en"] = Search
     sphinx.add_directive("command-line", CommandLine)
+    sphinx.add_directive("constants", Constants)
     sphinx.add_post_transform(SourceLinks)
     sphinx.connect("source-read", pages_of_the_root)
     sphinx.connect("missing-reference", documented_elsewhere)
