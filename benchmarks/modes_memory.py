@@ -79,7 +79,7 @@ def measure(n: int, *, sensors: bool) -> None:
         setattr(*stage, staged(function, 8.0 * n * n))
     tracemalloc.start()
     try:
-        tn.find_modes(matrix, calibration, accept_rejected=True)
+        tn.find_modes(matrix, calibration, accept_rejected=True, diameter=8.2)
     finally:
         tracemalloc.stop()
         for stage, function in zip(STAGES, before, strict=True):

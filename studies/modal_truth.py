@@ -88,6 +88,7 @@ def _singular(campaign: Campaign, found: ModalFindings) -> Dissipation:
         raise ValueError("give the campaign, with all actuators on, and what was found of it")
     base, matrix = found.before, found.measured.matrix.stiffness
     cost = base.costs[0]
+    assert base.seen is not None  # as it costs something
     return dissipation(
         "singular vectors",
         np.linalg.svd(matrix)[2][::-1].T,

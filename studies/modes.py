@@ -49,7 +49,7 @@ def known(seeds: int) -> None:
     for seed in range(seeds):
         bench = static_bench(tn.mirrors.p45(), seed)
         campaign = Campaign(tuple(run_cycles(bench, 2, loop_of(bench))))
-        found = find_modes(campaign)
+        found = find_modes(campaign, diameter=2.13, efficiency=0.51)
         scores.append(score_modes(campaign, found, bench.truth))
         print(f"  {seed + 1} of {seeds}", file=sys.stderr)
     print(f"P45 in closed loop, 2 cycles x 2 loads, {seeds} seeds: mean and its error")

@@ -86,7 +86,7 @@ def p45_calibration():
 @pytest.fixture(scope="session")
 def p45_findings():
     """What a report shows of P45 in two cycles at 1 mN; never changed."""
-    return investigate(p45_campaign(2))
+    return investigate(p45_campaign(2), diameter=2.13, efficiency=0.51)
 
 
 @pytest.fixture(scope="session")

@@ -272,17 +272,19 @@ def test_modes_of_segments_are_those_of_each_alone(two, inside, tmp_path):
     matrix, alone = two
     tn.write_stiffness(matrix, tmp_path / "k.fits")
     words = ("modes", tmp_path / "k.fits", "--anyway", "-o", tmp_path / "m.fits", "--off", 1)
+    words += ("--diameter", 2.13)
     code, said, wrong = inside(*words)
     assert (code, wrong) == (0, "")
     assert "m-1.fits" in said
     for number, one in enumerate(alone, 1):
-        other = tn.find_modes(one, accept_rejected=True, off=[1] if number == 1 else ())
+        whole, own = pupil_of(matrix.layout, 2.13), pupil_of(one.layout, 1.0)
+        part = {"diameter": 2.13 * own.radius / whole.radius, "off": [1] if number == 1 else ()}
+        other = tn.find_modes(one, accept_rejected=True, **part)
         with fits.open(tmp_path / f"m-{number}.fits") as hdus:
             budget = hdus["BUDGET"].data
         base = other.after.modes.stiffness
         assert budget["STIFFNESS"] == pytest.approx(base, rel=1e-6, abs=1e-6 * np.abs(base).max())
-        whole, own = pupil_of(matrix.layout), pupil_of(one.layout)
-        assert own.diameter / own.radius == pytest.approx(whole.diameter / whole.radius)
+        assert budget["RESIDUAL"] == pytest.approx(other.after.costs[0].residual, rel=1e-6)
     code, _, wrong = inside(*words)
     assert code == 2
     assert "m-1.fits: exists already" in wrong

@@ -41,7 +41,7 @@ def case():
     alpha = rng.uniform(0.7, 1.1, N)
     static = rng.uniform(-0.1, 0.1, N)
     stiffness = stiffness_of(forces, np.empty((0, N)), alpha, ALL)
-    cost = dissipation("any", modes, stiffness, seen(root @ root.T, ALL), static)
+    cost = dissipation("any", modes, stiffness, seen(root @ root.T, ALL), static, 0.51)
     return root, forces, modes, alpha, static, cost
 
 
@@ -68,7 +68,7 @@ def test_those_that_follow_leave_what_they_do_not_hit(number):
     shapes[~commanded] = rng.standard_normal((3, 9))
     modes = np.linalg.qr(rng.standard_normal((9, 9)))[0]
     stiffness = stiffness_of(rng.standard_normal((N, N)), shapes[~commanded], np.ones(N), commanded)
-    cost = dissipation("any", modes, stiffness, seen(root @ root.T, commanded), np.zeros(N))
+    cost = dissipation("any", modes, stiffness, seen(root @ root.T, commanded), np.zeros(N), 0.51)
     used = modes[:, :number]
     hit = shapes @ used @ used.T @ np.eye(N)[commanded]
     rest = (np.eye(N) - hit) @ root

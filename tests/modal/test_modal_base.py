@@ -22,12 +22,14 @@ from truenewton.modal.modal_base import Budget
 from truenewton.modal.turbulence import Atmosphere, Pupil, pupil_of, seen_turbulence
 from truenewton.records.campaign import Campaign
 
+PUPIL = {"diameter": 2.13, "efficiency": 0.51}
+
 
 @pytest.fixture(scope="module")
 def p45():
     bench = static_bench(tn.mirrors.p45(), 5, force_noise=2e-5)
     campaign = Campaign(tuple(run_cycles(bench, 2)))
-    return bench, campaign, find_modes(campaign, calibrate(campaign))
+    return bench, campaign, find_modes(campaign, calibrate(campaign), **PUPIL)
 
 
 def test_calibrated_modes_and_their_number_are_nearer_to_the_truth(p45):
@@ -42,24 +44,24 @@ def test_calibrated_modes_and_their_number_are_nearer_to_the_truth(p45):
 
 def test_static_force_carries_the_mirror(p45):
     bench, campaign, found = p45
-    static, layout = found.after.costs[0].static, campaign.layout
+    static, layout = found.after.static, campaign.layout
     truth = bench.truth
     assert layout.nz @ static == pytest.approx(-(truth.weight + truth.bias_force), rel=0.02)
-    from_file = find_modes(found.measured.matrix, found.calibration).after.costs[0].static
+    from_file = find_modes(found.measured.matrix, found.calibration).after.static
     assert layout.nz @ from_file == pytest.approx(layout.nz @ static, rel=1e-3)
     assert np.linalg.norm(from_file) < np.linalg.norm(static)  # least force: flat by nothing else
 
 
 def test_what_is_off_is_borne_by_the_others(p45):
     _, campaign, found = p45
-    some = find_modes(campaign, found.calibration, off=[3, 17], slaved=[40])
+    some = find_modes(campaign, found.calibration, off=[3, 17], slaved=[40], **PUPIL)
     base = some.after
     assert base.modes.stiffness.size == 42
     assert base.stiffness.enabled.n == 45
-    static = base.costs[0].static
+    static = base.static
     assert static[2] == static[16] == 0.0
     arms = np.stack([campaign.layout.nz, campaign.layout.x, campaign.layout.y])
-    np.testing.assert_allclose(arms @ static, arms @ found.after.costs[0].static, rtol=1e-9)
+    np.testing.assert_allclose(arms @ static, arms @ found.after.static, rtol=1e-9)
     assert not base.costs[0].force[2].any()
     assert base.costs[0].force[39].any()  # the slave pulls too
     # What they do not hit stays, whatever the number of modes.
@@ -76,12 +78,36 @@ def test_errors_of_alpha_move_the_number_by_force_alone(p45):
     assert found.modes_between(cost, by_power) == (cost.modes_within(by_power),) * 2
 
 
-def test_the_pupil_is_magnified_as_at_lbt():
+def test_turbulence_is_left_out_without_a_pupil(p45, inside, tmp_path):
+    _, campaign, whole = p45
+    found = find_modes(campaign, whole.calibration)
+    np.testing.assert_array_equal(found.after.modes.stiffness, whole.after.modes.stiffness)
+    assert "turbulence" not in modes_figures(found, Budget())
+    assert set(modes_figures(found, Budget())) == {"modes", "modes-comparison"}
+    told = summary.values(found, Budget())
+    assert (told["diameter"], told["fitting_error"], told["bases"]) == (None, None, [])
+    with fits.open(write_modes(found, tmp_path / "m.fits")[0]) as hdus:
+        assert not {"SEEING", "DIAMETER", "NMODES"} & set(hdus[0].header)
+        assert not {"KL", "ZERNIKE"} & {hdu.name for hdu in hdus}
+        assert hdus["BUDGET"].data.names == ["N", "STIFFNESS"]
+    with pytest.raises(FormatError, match=r"limits need turbulence.*diameter"):
+        write_modes(found, tmp_path / "n.fits", Budget(force=0.1))
+    with pytest.raises(FormatError, match="need the pupil"):
+        find_modes(campaign, whole.calibration, Atmosphere(0.8))
+    forces = find_modes(campaign, whole.calibration, diameter=2.13)
+    assert "power" not in " ".join(summary.lines(forces, Budget())).split("--power")[0]
+    with pytest.raises(FormatError, match="efficiency of the coils"):
+        forces.after.costs[0].modes_within(Budget(power=0.1))
+    for option, words in {"--seeing": "--diameter", "--power": "--efficiency"}.items():
+        code, _, err = inside("modes", "m4.fits", option, "0.8")
+        assert (code, words in err) == (2, True)
+
+
+def test_the_radius_of_the_mirror_is_half_a_spacing_beyond_its_actuators():
     layout = tn.mirrors.lbt672().layout
-    pupil = pupil_of(layout)
+    pupil = pupil_of(layout, 8.0)
     assert pupil.radius == pytest.approx(0.4483, abs=2e-4)  # the glass ends at 0.4555
-    assert pupil.diameter == pytest.approx(2 * pupil.radius * 4.11 / 0.452)
-    assert pupil_of(layout, 8.0).diameter == 8.0
+    assert pupil.diameter == 8.0
     with pytest.raises(FormatError):
         Pupil(0.1, -1.0)
 
@@ -159,6 +185,7 @@ def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
     tn.write_campaign(campaign.cycles, tmp_path / "c")
     found.calibration.write(tmp_path / "alpha.fits")
     asked = ("modes", tmp_path / "c", "--calibration", tmp_path / "alpha.fits", "--power", "0.05")
+    asked += ("--diameter", "2.13", "--efficiency", "0.51")
     asked += ("-o", tmp_path / "m.fits", "--figures", tmp_path / "figures")
     code, out, err = inside(*asked, "--json")
     assert (code, err) == (0, "")
@@ -188,7 +215,7 @@ def test_the_command_refuses_in_one_line(p45, inside, tmp_path, option, value, w
     tn.write_stiffness(found.measured.matrix, tmp_path / "s.fits")
     found.calibration.write(tmp_path / "alpha.fits")
     asked = ("modes", tmp_path / "s.fits", "--calibration", tmp_path / "alpha.fits")
-    code, out, err = inside(*asked, option, value)
+    code, out, err = inside(*asked, "--diameter", "2.13", option, value)
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
@@ -278,21 +305,21 @@ def test_the_command_asks_the_glass_what_annular_sensors_see(p45, inside, tmp_pa
 def test_static_force_comes_of_all_cycles_but_no_row_that_stands_off(p45):
     _, campaign, found = p45
     first, *others = campaign.cycles
-    static = found.after.costs[0].static
+    static = found.after.static
     without = find_modes(Campaign((replace(first, position=None), *others)), found.calibration)
     assert without.measured.rows == found.measured.rows - 90
-    np.testing.assert_allclose(without.after.costs[0].static, static, atol=3e-5)
+    np.testing.assert_allclose(without.after.static, static, atol=3e-5)
     # A stiffness file among cycles is the stiffness.
     blind = tuple(replace(cycle, position=None) for cycle in campaign.cycles)
     given = find_modes(Campaign(blind, found.measured.matrix), found.calibration)
     assert given.measured is None
     np.testing.assert_allclose(given.after.modes.stiffness, found.after.modes.stiffness)
-    np.testing.assert_allclose(given.after.costs[0].static, static, atol=3e-5)
+    np.testing.assert_allclose(given.after.static, static, atol=3e-5)
     force = np.array(first.force)
     force[10, 4] += 1.0
     spoilt = find_modes(Campaign((replace(first, force=force), *others)), found.calibration)
     assert {row.row for row in spoilt.measured.rejected} == {10}  # of either cycle: who knows
-    np.testing.assert_allclose(spoilt.after.costs[0].static, static, atol=3e-5)
+    np.testing.assert_allclose(spoilt.after.static, static, atol=3e-5)
 
 
 def test_an_actuator_that_acts_though_it_is_disabled_is_warned_of(p45):
@@ -337,7 +364,7 @@ def test_a_large_mirror_takes_six_matrices_and_is_not_compared(monkeypatch):
     matrix, calibration = random_mirror(n)
     monkeypatch.setattr(findings, "MAX_COMPARED", n - 1)
     tracemalloc.start()
-    found = find_modes(matrix, calibration, accept_rejected=True)
+    found = find_modes(matrix, calibration, accept_rejected=True, **PUPIL)
     peak = tracemalloc.get_traced_memory()[1] / (8 * n * n)
     told = summary.values(found, Budget(power=0.1))
     tracemalloc.stop()

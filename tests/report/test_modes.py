@@ -17,6 +17,8 @@ from truenewton.report.figures import still_figures
 from truenewton.report.findings import ModeResiduals, investigate
 from truenewton.report.page.page import modal_sections, page
 
+PUPIL = {"diameter": 2.13, "efficiency": 0.51}
+
 
 @pytest.fixture(scope="module")
 def matrix():
@@ -26,7 +28,7 @@ def matrix():
 
 @pytest.fixture(scope="module")
 def by_matrix(matrix):
-    return investigate(matrix, "svd")
+    return investigate(matrix, "svd", **PUPIL)
 
 
 def sections(findings):
@@ -60,7 +62,7 @@ def check_table(table, cost, others):
 
 
 def test_cycles_with_positions_tell_their_modes(p45_findings):
-    found = find_modes(p45_campaign(2), p45_findings.calibration)
+    found = find_modes(p45_campaign(2), p45_findings.calibration, **PUPIL)
     parts = sections(p45_findings)
     assert list(parts) == ["modes", "turbulence", "dissipation"]
     check_table(parts["dissipation"].tables[0], found.after.costs[0], found.after.costs[1:])
@@ -86,7 +88,7 @@ def test_a_stiffness_file_has_modes_for_rows_but_no_weight(matrix, by_matrix):
     assert residuals.after.max() < 1e-6 < residuals.before.min()
     assert by_matrix.evidence.balance[0].what == "all modes, fitted"
     parts = sections(by_matrix)
-    base = find_modes(matrix, by_matrix.calibration).after
+    base = find_modes(matrix, by_matrix.calibration, **PUPIL).after
     check_table(parts["dissipation"].tables[0], base.costs[0], base.costs[1:])
     assert not any("Measured stiffness" in words for words in parts["modes"].words)
     assert "unknown" in parts["dissipation"].words[0]

@@ -83,7 +83,7 @@ def test_a_fit_worse_than_its_noise_is_used_with_care():
 
 @pytest.fixture(scope="module")
 def p45():
-    return investigate(p45_campaign())
+    return investigate(p45_campaign(), diameter=2.13, efficiency=0.51)
 
 
 def test_residuals_are_those_of_the_balance_itself(p45):

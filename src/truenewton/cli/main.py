@@ -44,7 +44,7 @@ GROUPS = {  # of --help, each with its commands and an example of each
         "figures": "truenewton figures alpha.fits -o figures/",
     },
     "Use": {
-        "modes": "truenewton modes stiffness.fits --seeing 0.9 -o modes.fits",
+        "modes": "truenewton modes stiffness.fits --diameter 8.2 -o modes.fits",
         "export": "truenewton export supervisor/ --calibration alpha.fits -o calibrated/",
     },
     "Simulate": {

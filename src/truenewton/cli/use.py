@@ -17,6 +17,14 @@ if TYPE_CHECKING:
     from truenewton.report.verdict import Reported
 
 
+DIAMETER = typer.Option(
+    None, help="Of the telescope's pupil [m]; without it turbulence is left out."
+)
+EFFICIENCY = typer.Option(
+    None, help="Of the coils, commanded force per root of power [N/W^1/2]; for their power."
+)
+
+
 def run_report(
     paths: list[Path] = options.paths(
         "Cycle files or their folder, a stiffness file, a calibration, or two to compare."
@@ -28,6 +36,8 @@ def run_report(
     ),
     population: bool = options.POPULATION,
     mirror: str | None = options.MIRROR_MODEL,
+    diameter: float | None = DIAMETER,
+    efficiency: float | None = EFFICIENCY,
     segment: int | None = options.SEGMENT,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
@@ -54,14 +64,17 @@ def run_report(
             motion = options.motion_of(mirror, data)
             made = None if calibration is None else read_alpha(calibration, segment=segment)
             findings = investigate(
-                data, method, calibration=made, population=population, motion=motion
-            )
+                data, method, calibration=made, population=population, motion=motion,
+                diameter=diameter, efficiency=efficiency,
+            )  # fmt: skip
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method else []
     words += ["--calibration", str(calibration)] if calibration else []
     words += ["--population"] if population else []
     words += [] if segment is None else ["--segment", str(segment)]
     words += ["--mirror", mirror] if mirror else []
+    words += ["--diameter", f"{diameter:g}"] if diameter else []
+    words += ["--efficiency", f"{efficiency:g}"] if efficiency else []
     command = shlex.join(words)
     with busy("writing the report"):
         write_report(output, findings, command=command, edges=edges, overwrite=overwrite)
@@ -104,11 +117,11 @@ def run_modes(
     calibration: Path | None = typer.Option(
         None, help="Calibration file; by default the data themselves are calibrated."
     ),
-    seeing: float = typer.Option(0.8, help="At 500 nm [arcsec]."),
-    outer_scale: float = typer.Option(40.0, help="Of the turbulence [m]; inf for Kolmogorov's."),
-    diameter: float | None = typer.Option(
-        None, help="Of the telescope's pupil [m]; by default magnified as at LBT."
+    seeing: float | None = typer.Option(None, help="At 500 nm [arcsec]; by default 0.8."),
+    outer_scale: float | None = typer.Option(
+        None, help="Of the turbulence [m]; by default 40, and inf for Kolmogorov's."
     ),
+    diameter: float | None = DIAMETER,
     radius: float | None = typer.Option(
         None,
         help="Of the mirror that fills the pupil [m]; by default half a spacing beyond the"
@@ -119,9 +132,7 @@ def run_modes(
     force: float = typer.Option(
         math.inf, help="Largest true force: static and three sigma of turbulence [N]."
     ),
-    efficiency: float = typer.Option(
-        0.51, help="Commanded force per root of power [N/W^1/2]; by default LBT's."
-    ),
+    efficiency: float | None = EFFICIENCY,
     off: str = typer.Option("", help="IDs of actuators that will be off, as 17,18: they float."),
     slaved: str = typer.Option("", help="IDs not commanded: they follow with the least force."),
     mirror: str | None = options.MIRROR_MODEL,
@@ -146,7 +157,14 @@ def run_modes(
     from truenewton.records.file import SUFFIXES
 
     options.require_suffix(output, SUFFIXES, "modal base")
-    atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
+    limits = Budget(power, total_power, force)
+    if efficiency is None and min(power, total_power) < math.inf:
+        raise typer.BadParameter("--power and --total-power need --efficiency, that of the coils")
+    given = {"seeing": seeing, "outer_scale": outer_scale}
+    turbulence = {name: value for name, value in given.items() if value is not None}
+    if diameter is None and (turbulence or limits != Budget()):
+        raise typer.BadParameter("turbulence and limits need --diameter, that of the pupil")
+    atmosphere = None if diameter is None else Atmosphere(**turbulence)
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     with busy("reading"):
         data = read_data(*paths, segment=segment)
@@ -162,13 +180,16 @@ def run_modes(
             alpha = read_alpha(calibration, segment=segment)
             alpha = usable(alpha, accept_rejected=anyway, path=calibration)
         found = find_modes(
-            data, alpha, atmosphere, diameter=diameter, radius=radius, efficiency=efficiency,
+            data, alpha, atmosphere, diameter=diameter, radius=radius,
+            efficiency=efficiency,
             motion=motion, off=floating, slaved=follows, accept_rejected=anyway,
         )  # fmt: skip
         shown, as_values = lines(found, limits), values(found, limits) if json else None
         with atomic_outputs():
             if output is not None:
-                written += write_modes(found, output, limits, overwrite=overwrite)
+                written += write_modes(
+                    found, output, limits if diameter else None, overwrite=overwrite
+                )
             if figures is not None:
                 drawn = modes_figures(found, limits)
                 written += write_drawn(drawn, figures, overwrite=overwrite)

@@ -127,11 +127,11 @@ def modes_figures(
     drawn: dict[str, Callable[..., Axes]] = {}
     for number, one in by_number(modes).items():
         of_it = f"segment-{number}-" if number else ""
-        drawn |= {
-            f"{of_it}modes": partial(plot_modes, one.after),
-            f"{of_it}modes-residual": partial(plot_residual, one.after),
-            f"{of_it}modes-power": partial(plot_power, one.after, limits),
-        }
+        drawn[f"{of_it}modes"] = partial(plot_modes, one.after)
+        if one.after.costs:
+            drawn[f"{of_it}modes-residual"] = partial(plot_residual, one.after)
+            if np.isfinite(one.after.costs[0].efficiency):
+                drawn[f"{of_it}modes-power"] = partial(plot_power, one.after, limits)
         if one.compares:
             drawn[f"{of_it}modes-comparison"] = partial(plot_comparison, one)
     return drawn

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.errors import FormatError
 from truenewton.files.fits import write_fits
 from truenewton.files.format import Attribute, Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import files_together
@@ -36,9 +37,9 @@ class _Written:
         return self.findings.after
 
     @property
-    def cost(self) -> Dissipation:
-        """The cost of the stiffness modes."""
-        return self.base.costs[0]
+    def cost(self) -> Dissipation | None:
+        """The cost of the stiffness modes; None without turbulence."""
+        return self.base.costs[0] if self.base.costs else None
 
     @property
     def alpha(self) -> Array:
@@ -65,9 +66,11 @@ class _Written:
         """Return (N, m) values of all actuators from (n, m) of the enabled; 0 for others."""
         return self.base.on_all_actuators(values)
 
-    def displacements(self, cost: int = 0) -> Array:
+    def displacements(self, cost: int | None = None) -> Array:
         """Return (n, m) displacements of the enabled actuators for the modes of a base."""
-        return self.base.stiffness.displaced(self.base.costs[cost].modes)
+        base = self.base
+        modes = base.modes.modes if cost is None else base.costs[cost].modes
+        return base.stiffness.displaced(modes)
 
     @property
     def forces(self) -> Array:
@@ -87,9 +90,9 @@ def _budget(name: str, base: int, *more: Column) -> TableFormat:
     """Return the table of the first N modes of a base, a row for each N."""
 
     def of(values: Callable[[Dissipation], Any]) -> Callable[[_Written], Any]:
-        return lambda written: values(written.base.costs[base])
+        return lambda written: values(written.base.costs[base]) if written.cost else None
 
-    number = Column("N", of(lambda cost: np.arange(1, cost.residual.size + 1)), kind="int")
+    number = Column("N", lambda w: np.arange(1, w.base.modes.stiffness.size + 1), kind="int")
     summaries = (Column(key.upper(), of(values), unit) for key, unit, values in SUMMARIES)
     return TableFormat(name, (number, *more, *summaries))
 
@@ -134,7 +137,9 @@ MODES = FileFormat(
         _finite("MAXTOTAL", "limits.total", "most that all coils may dissipate", "W"),
         _finite("MAXFORCE", "limits.force", "most true force, static and 3 sigma", "N"),
         _integer(
-            "NMODES", lambda w: w.cost.modes_within(w.limits), "stiffness modes within these limits"
+            "NMODES",
+            lambda w: w.cost and w.cost.modes_within(w.limits),
+            "stiffness modes within these limits",
         ),
     ),
     (
@@ -147,7 +152,7 @@ MODES = FileFormat(
             "STATIC",
             (
                 Column("ID", "base.stiffness.enabled.id", kind="int"),
-                Column("FORCE", "cost.static", "N"),
+                Column("FORCE", "base.static", "N"),
             ),
         ),
         _budget("BUDGET", 0, Column("STIFFNESS", "base.modes.stiffness", "N/m")),
@@ -159,6 +164,7 @@ MODES = FileFormat(
         _budget("BUDGET_KL", 2),
     ),
 )
+BY_TURBULENCE = 4  # extensions at the end
 PLAIN = {
     "ff_v_matrix": _plain(
         "MODE", "displacement per mode", None, lambda w: w.whole(w.displacements())
@@ -203,13 +209,15 @@ def write_modes(
     path
         MODES.fits; of several segments MODES-1.fits and so on.
     limits
-        Of power and force; the number of modes within them is written, too.
+        Of power and force; the number of modes within them is written, too, with turbulence.
     overwrite
         Replace existing files.
 
     Raises
     ------
     OutputExists, OutputFailed
+    FormatError
+        Limits without turbulence, or of power without the efficiency of the coils.
 
     Examples
     --------
@@ -217,6 +225,8 @@ def write_modes(
     >>> [file.name for file in files[:3]]
     ['modes.fits', 'modes.true.fits', 'modes.commanded.fits']
     """
+    if limits and not all(one.after.costs for one in by_number(findings).values()):
+        raise FormatError("limits need turbulence", remedy="give find_modes a diameter")
     paths = {number: modes_paths(path, number) for number in by_number(findings)}
     every = [each for of_one in paths.values() for each in of_one]
     with files_together(every, overwrite=overwrite) as folder:
@@ -239,7 +249,8 @@ def _write_into(
         displaced="true",
     )
     target, for_true, for_commanded, *plain = (folder / path.name for path in paths)
-    write_fits(target, MODES, written)
+    kept = len(MODES.extensions) - (0 if base.costs else BY_TURBULENCE)
+    write_fits(target, replace(MODES, extensions=MODES.extensions[:kept]), written)
     write_stiffness(matrix, for_true)
     write_stiffness(replace(matrix, stiffness=written.commanded), for_commanded)
     for target, form in zip(plain, PLAIN.values(), strict=True):

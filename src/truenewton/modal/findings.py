@@ -32,7 +32,7 @@ from truenewton.calibration.methods import (
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import refusal_of, refuse_unusable
 from truenewton.calibration.workers import executor_for
-from truenewton.errors import CampaignMismatch, Fault, RankDeficient, UnknownName
+from truenewton.errors import CampaignMismatch, Fault, FormatError, RankDeficient, UnknownName
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
@@ -44,7 +44,7 @@ from truenewton.modal.measured_stiffness import (
     motion_reader,
     stiffness_of,
 )
-from truenewton.modal.modal_base import EFFICIENCY, Budget, Dissipation, ModalBase, modal_base
+from truenewton.modal.modal_base import Budget, Dissipation, ModalBase, modal_base
 from truenewton.modal.true_stiffness import TrueStiffness, indices_of, static_force, true_stiffness
 from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.quantities import taking_units
@@ -238,7 +238,7 @@ class _Request:
     atmosphere: Atmosphere
     diameter: float | None
     radius: float | None
-    efficiency: float
+    efficiency: float | None
     sensor_gain: Array | None
     motion: Any
     off: Sequence[int]
@@ -250,7 +250,7 @@ class _Request:
 def find_modes(
     data: Campaign | StiffnessMatrix, calibration: Calibration | None = None,
     atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
-    radius: float | None = None, efficiency: float = EFFICIENCY, sensor_gain: Array | None = None,
+    radius: float | None = None, efficiency: float | None = None, sensor_gain: Array | None = None,
     motion: Array | None = None, off: Sequence[int] = (), slaved: Sequence[int] = (),
     reader: MotionReader | None = None, accept_rejected: bool = False, processes: int | None = None,
 ) -> ModalFindings: ...  # fmt: skip
@@ -258,7 +258,7 @@ def find_modes(
 def find_modes(
     data: Data, calibration: AnyCalibration | None = None,
     atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
-    radius: float | None = None, efficiency: float = EFFICIENCY, sensor_gain: Array | None = None,
+    radius: float | None = None, efficiency: float | None = None, sensor_gain: Array | None = None,
     motion: Seen | None = None, off: Sequence[int] = (), slaved: Sequence[int] = (),
     reader: MotionReader | None = None, accept_rejected: bool = False, processes: int | None = None,
 ) -> ModalFindings | Parts[ModalFindings]: ...  # fmt: skip
@@ -270,7 +270,7 @@ def find_modes(
     *,
     diameter: float | None = None,
     radius: float | None = None,
-    efficiency: float = EFFICIENCY,
+    efficiency: float | None = None,
     sensor_gain: Array | None = None,
     motion: Seen | None = None,
     off: Sequence[int] = (),
@@ -279,7 +279,9 @@ def find_modes(
     accept_rejected: bool = False,
     processes: int | None = None,
 ) -> ModalFindings | Parts[ModalFindings]:
-    """Find the stiffness modes of a mirror, and the cost of turbulence with 1, 2, ... of them.
+    """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
+
+    Turbulence is left out if the diameter of the pupil is not given.
 
     Parameters
     ----------
@@ -291,10 +293,11 @@ def find_modes(
     atmosphere
         The turbulence; by default with 0.8 arcsec.
     diameter, radius
-        Of the entrance pupil, and of the mirror that fills it [m]; see `pupil_of`. Each segment
-        fills its part of it, seen from its own middle.
+        Of the entrance pupil of the telescope, and of the mirror that fills it [m]; the radius is
+        by default that of the outermost actuator plus half a spacing. Each segment fills its part
+        of the pupil, seen from its own middle.
     efficiency
-        Commanded force per root of power [N/W^1/2].
+        Commanded force per root of power [N/W^1/2]; without it powers are NaN.
     sensor_gain, motion, off, slaved
         See `true_stiffness`; ``motion`` is also used to calibrate the data.
     reader
@@ -311,7 +314,7 @@ def find_modes(
     RankDeficient, TooManyOutliers, NotConverged
         The data do not determine stiffness or alpha.
     FormatError
-        Invalid seeing, diameter, efficiency or sensor gain.
+        Invalid seeing, diameter, efficiency or sensor gain; turbulence without a diameter.
     CampaignMismatch
         Data and calibration of two mirrors.
     UnknownName
@@ -319,13 +322,17 @@ def find_modes(
 
     Examples
     --------
-    >>> found = tn.find_modes(campaign, calibration, tn.Atmosphere(seeing=0.8))
+    >>> found = tn.find_modes(campaign, calibration, tn.Atmosphere(seeing=0.8), diameter=2.1)
     >>> stiffness, zernike, karhunen_loeve = found.after.costs
     >>> stiffness.residual.shape  # for 1, 2, ... modes
     (45,)
     """
+    if diameter is None and (atmosphere or radius or efficiency):
+        raise FormatError(
+            "seeing, radius and efficiency need the pupil", remedy="give its diameter in metres"
+        )
     request = _Request(
-        atmosphere or Atmosphere(0.8), diameter, radius, efficiency, sensor_gain, motion,
+        atmosphere or Atmosphere(), diameter, radius, efficiency, sensor_gain, motion,
         off, slaved, accept_rejected,
     )  # fmt: skip
     if has_parts(data) and (calibration is None or has_parts(calibration)):
@@ -370,13 +377,15 @@ def _of_body(
             f"{negative} of {elastic.size} elastic modes are negative",
             "reverse the sign of STIFFNESS, or of POSITION in cycles",
         )
-    pupil = pupil_of(matrix.layout, request.diameter, request.radius)
-    seen = seen_turbulence(stiffness.enabled, stiffness.commanded, request.atmosphere, pupil)
+    seen = None
+    if request.diameter is not None:
+        pupil = pupil_of(matrix.layout, request.diameter, request.radius)
+        seen = seen_turbulence(stiffness.enabled, stiffness.commanded, request.atmosphere, pupil)
     static = static_force(stiffness, calibration, at_rest)
     after = modal_base(matrix, stiffness, modes, seen, static, request.efficiency)
     return ModalFindings(
         measured, calibration, after,
-        partial(_uncalibrated, after, calibration, at_rest, stiffness_by),
+        partial(_uncalibrated, after, calibration, at_rest, stiffness_by, request.efficiency),
         (faults[0], stiffness.asymmetry), (faults[1], stiffness.imbalance),
         _sources(reader, matrix),
     )  # fmt: skip
@@ -396,7 +405,9 @@ def _of_segments(
             f"data and calibration are of two mirrors: {apart}",
             remedy="give both of the same mirror",
         )
-    pupil = pupil_of(layout, request.diameter, request.radius)
+    pupil = None
+    if request.diameter is not None:
+        pupil = pupil_of(layout, request.diameter, request.radius)
     for unknown in (name for name in (*request.off, *request.slaved) if name not in layout.id):
         raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
 
@@ -405,9 +416,12 @@ def _of_segments(
             fault, remedy = calibration.failed[number][0]
             raise RankDeficient(fault, remedy=remedy)
         here, gain = data.of(number), request.sensor_gain
-        own = pupil_of(layout.part(here)).radius
+        own, diameter = None, None
+        if pupil is not None:
+            own = pupil_of(layout.part(here), pupil.diameter).radius
+            diameter = pupil.diameter * own / pupil.radius
         of_segment = replace(
-            request, radius=own, diameter=pupil.diameter * own / pupil.radius,
+            request, radius=own, diameter=diameter,
             motion=seen_of(request.motion, layout, number),
             sensor_gain=None if gain is None else gain[here],
             off=data.own(number, request.off), slaved=data.own(number, request.slaved),
@@ -423,11 +437,11 @@ def _uncalibrated(
     calibration: Calibration,
     at_rest: Array | None,
     stiffness_by: Callable[[None], TrueStiffness],
+    efficiency: float | None,
 ) -> ModalBase:
     """Return the modal base with alpha = 1."""
     stiffness = stiffness_by(None)
     static = static_force(stiffness, calibration, at_rest)
-    efficiency = after.costs[0].efficiency
     return modal_base(after.matrix, stiffness, stiffness.modes, after.seen, static, efficiency)
 
 

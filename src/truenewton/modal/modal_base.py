@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array, freeze
+from truenewton.errors import FormatError
 from truenewton.modal.true_stiffness import TrueStiffness
 from truenewton.modal.turbulence import SeenTurbulence
 from truenewton.quantities import Quantity, check_quantities, convert_quantities
@@ -29,7 +30,6 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import StiffnessModes
 
-EFFICIENCY = 0.51  # commanded force per root of power, of LBT's and P45's coils [N/W^1/2]
 FORCE_SIGMAS = 3.0  # of the turbulent force that an actuator has to reach in addition to the static
 EFFICIENCIES = Quantity(
     "N W(-1/2)", 1e-6, 1e6, "give the commanded force per root of power, as 0.51",
@@ -60,8 +60,8 @@ class Budget:
 
     Examples
     --------
-    >>> stiffness_modes = tn.find_modes(campaign, calibration).after.costs[0]
-    >>> stiffness_modes.modes_within(tn.Budget(power=0.1))
+    >>> found = tn.find_modes(campaign, calibration, diameter=2.13, efficiency=0.51)
+    >>> found.after.costs[0].modes_within(tn.Budget(power=0.1))  # of the stiffness modes
     41
     """
 
@@ -93,7 +93,7 @@ class Dissipation:
     stiffness: TrueStiffness
     seen: SeenTurbulence
     static: Array  # (n,) static part of the true force: weight, bias, flattening [N]
-    efficiency: float  # commanded force per root of power [N/W^1/2]
+    efficiency: float  # commanded force per root of power [N/W^1/2]; NaN if unknown, as powers
     residual: Array  # (m,) rms residual wavefront at all enabled actuators [m]
     # (m,) of ``force``, over the actuators [N]
     force_rms: Array
@@ -148,7 +148,14 @@ class Dissipation:
 
         With a relative alpha_error, (n,) or one for all, true forces are larger by that factor; the
         powers of the commands do not change.
+
+        Raises
+        ------
+        FormatError
+            A limit of power, without the efficiency of the coils.
         """
+        if np.isnan(self.efficiency) and min(limits.power, limits.total) < np.inf:
+            raise FormatError("powers are unknown", remedy="give the efficiency of the coils")
         higher = 1.0 + np.asarray(alpha_error, dtype=float).reshape(-1, 1)
         beyond = (self.power_worst > limits.power) | (self.power_total > limits.total)
         if higher.size == 1:
@@ -177,13 +184,14 @@ def dissipation(
     stiffness: TrueStiffness,
     seen: SeenTurbulence,
     static: Array,
-    efficiency: float = EFFICIENCY,
+    efficiency: float | None,
 ) -> Dissipation:
     """Return residual and cost of correcting turbulence with 1..m modes, see `Dissipation`.
 
     The (m, m) modes are orthonormal on the commanded actuators; static forces are (n,) [N].
     """
     EFFICIENCIES.check(efficiency)
+    efficiency = np.nan if efficiency is None else efficiency
     own, missed, *summaries = np.empty((7, modes.shape[1]))
     for answer in _answers(modes, stiffness, seen.wavefront):
         own[answer.some], missed[answer.some] = answer.own, answer.missed
@@ -265,8 +273,9 @@ class ModalBase:
     matrix: StiffnessMatrix
     stiffness: TrueStiffness  # the true stiffness, with alpha or with alpha = 1
     modes: StiffnessModes  # its eigenmodes, softest first
-    seen: SeenTurbulence  # the turbulence
-    # of the stiffness modes, Zernike's and those of Karhunen and Loeve
+    static: Array  # (n,) static part of the true force: weight, bias, flattening [N]
+    seen: SeenTurbulence | None  # the turbulence, if the pupil is known
+    # of the stiffness modes, Zernike's and those of Karhunen and Loeve; empty without turbulence
     costs: tuple[Dissipation, ...]
 
     def __repr__(self) -> str:
@@ -291,11 +300,13 @@ def modal_base(
     matrix: StiffnessMatrix,
     stiffness: TrueStiffness,
     modes: StiffnessModes,
-    seen: SeenTurbulence,
+    seen: SeenTurbulence | None,
     static: Array,
-    efficiency: float,
+    efficiency: float | None,
 ) -> ModalBase:
     """Return the modal base of a stiffness, with (n,) `static_force` [N], efficiency [N/W^1/2]."""
+    if seen is None:
+        return ModalBase(matrix, stiffness, modes, static, None, ())
     costs = (
         dissipation(name, vectors, stiffness, seen, static, efficiency)
         for name, vectors in (
@@ -304,4 +315,4 @@ def modal_base(
             ("Karhunen-Loeve", seen.karhunen_loeve),
         )
     )
-    return ModalBase(matrix, stiffness, modes, seen, tuple(costs))
+    return ModalBase(matrix, stiffness, modes, static, seen, tuple(costs))

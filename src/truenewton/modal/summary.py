@@ -34,18 +34,20 @@ def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
     """Return residual and cost of some numbers of modes, a row for each.
 
     Columns: number of modes; rms residual wavefront of each of the three bases [nm]; for stiffness
-    modes the force, rms and of the worst actuator [mN], and the power, mean, worst and total [W].
+    modes the force, rms and of the worst actuator [mN], and the power, mean, worst and total [W],
+    if the efficiency is known.
     """
     cost, count = base.costs[0], base.modes.stiffness.size
     rows = []
     for number in np.unique(np.linspace(0, count, NUMBERS + 1).round().astype(int))[1:].tolist():
         k = number - 1
         left = (_plain(1e9 * each.residual[k], 4) for each in base.costs)
-        rows.append(
-            (str(number), *left, _plain(1e3 * cost.force_rms[k], 3),
-             _plain(1e3 * cost.force_worst[k], 3), f"{cost.power_mean[k]:.2g}",
-             f"{cost.power_worst[k]:.2g}", f"{cost.power_total[k]:.3g}")
-        )  # fmt: skip
+        power: tuple[str, ...] = ()
+        if math.isfinite(cost.efficiency):
+            power = (f"{cost.power_mean[k]:.2g}", f"{cost.power_worst[k]:.2g}",
+                     f"{cost.power_total[k]:.3g}")  # fmt: skip
+        force = (_plain(1e3 * each[k], 3) for each in (cost.force_rms, cost.force_worst))
+        rows.append((str(number), *left, *force, *power))
     return rows
 
 
@@ -94,7 +96,9 @@ def comparison_text(findings: ModalFindings) -> str:
 
 
 def turbulence_text(base: ModalBase) -> str:
-    """Return the turbulence and the size of the mirror."""
+    """Return the turbulence and the size of the mirror; why there is none without a pupil."""
+    if base.seen is None:
+        return "not computed: give --diameter, that of the telescope's pupil in metres"
     a, pupil = base.seen.atmosphere, base.seen.pupil
     return (
         f"seeing {a.seeing:g} arcsec, r0 {100 * a.fried_parameter:.3g} cm, L0"
@@ -104,16 +108,18 @@ def turbulence_text(base: ModalBase) -> str:
 
 
 def fitting_error_text(base: ModalBase) -> str:
-    """Return the wavefront that no modes correct."""
+    """Return the wavefront that no modes correct; empty without turbulence."""
+    if base.seen is None:
+        return ""
     return (
         f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, for any number"
         " of modes"
     )
 
 
-def static_force_text(cost: Dissipation) -> str:
+def static_force_text(base: ModalBase) -> str:
     """Return the range of the static forces."""
-    force = 1e3 * cost.static
+    force = 1e3 * base.static
     if not force.any():
         return "unknown, assumed 0: a stiffness file contains no weight"
     return f"{force.min():.3g} .. {force.max():.3g} mN"
@@ -160,7 +166,7 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
         ("modes by alpha = 1", comparison_text(findings)),
         ("turbulence", turbulence_text(base)),
         ("between actuators", fitting_error_text(base)),
-        ("static force", static_force_text(base.costs[0])),
+        ("static force", static_force_text(base)),
     ]  # fmt: skip
 
 
@@ -174,8 +180,8 @@ def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> lis
     return [
         headline(findings),
         *(row(name, text) for name, text in summary_rows(findings) if text),
-        *_table(findings.after),
-        *_within(findings, limits),
+        *(_table(findings.after) if findings.after.costs else ()),
+        *(_within(findings, limits) if findings.after.costs else ()),
         row("verdict on alpha", str(findings.calibration.verdict)),
         *warning_lines(findings.warnings),
     ]
@@ -183,16 +189,18 @@ def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> lis
 
 def _table(base: ModalBase) -> list[str]:
     """Return the table of residual, force and power against the number of modes."""
-    bases = tuple(cost.base for cost in base.costs)
-    rows = [("modes", *bases, "rms", "worst", "mean", "worst", "total"), *cost_rows(base)]
+    bases, efficiency = tuple(cost.base for cost in base.costs), base.costs[0].efficiency
+    rows = cost_rows(base)
+    head = ("modes", *bases, "rms", "worst", "mean", "worst", "total")[: len(rows[0])]
+    rows.insert(0, head)
     widths = [
         max(least, *(len(cell) + 1 for cell in cells))
-        for least, cells in zip(WIDTHS, zip(*rows, strict=True), strict=True)
+        for least, cells in zip(WIDTHS, zip(*rows, strict=True), strict=False)
     ]
     first, left = widths[0], sum(widths[1 : 1 + len(bases)])
     lines = [
         f"  {'':<{first}}{'residual wavefront at actuators [nm]':<{left}}"
-        "stiffness modes: force [mN], power [W]"
+        f"stiffness modes: force [mN]{', power [W]' if math.isfinite(efficiency) else ''}"
     ]
     for cells in rows:
         text = "".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True))
@@ -248,11 +256,12 @@ def values(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> di
     figures: dict[str, Any] = {
         **attributes(base.matrix, "instrument", "date"),
         **attributes(findings.calibration, "method", "scale", "verdict"),
-        **attributes(base.seen.atmosphere, "seeing", "fried_parameter", "outer_scale"),
-        **attributes(base.seen.pupil, "diameter", "radius"),
-        "efficiency": base.costs[0].efficiency,
-        "fitting_error": base.seen.fitting_error,
-        "static_force": base.costs[0].static,
+        **attributes(base, seeing="seen.atmosphere.seeing"),
+        **attributes(base, fried_parameter="seen.atmosphere.fried_parameter"),
+        **attributes(base, outer_scale="seen.atmosphere.outer_scale"),
+        **attributes(base, diameter="seen.pupil.diameter", radius="seen.pupil.radius"),
+        "efficiency": base.costs[0].efficiency if base.costs else None,
+        **attributes(base, fitting_error="seen.fitting_error", static_force="static"),
         "stiffness": base.modes.stiffness,
         **attributes(findings, "asymmetry", "imbalance"),
         "rigid_stiffness": base.modes.stiffness[:3],

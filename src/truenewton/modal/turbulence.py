@@ -30,7 +30,6 @@ SERIES_TERMS = 14  # the next is below 1e-17 of the sum
 DISTANCES_AT_ONCE = 1 << 14
 MAX_DIAMETER = 100.0  # beyond it the unit is wrong [m]
 MIN_DIAMETER = 1e-3  # and radius [m]
-LBT_MAGNIFICATION = 4.11 / 0.452  # pupil over mirror, of LBT's secondaries
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class Atmosphere:
         ),
     }  # fmt: skip
 
-    seeing: float
+    seeing: float = 0.8
     outer_scale: float = 40.0
 
     def __post_init__(self) -> None:
@@ -194,16 +193,15 @@ def centred(layout: Layout) -> tuple[Array, Array]:
     return x, y
 
 
-def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None = None) -> Pupil:
-    """Return the pupil that a mirror fills.
+def pupil_of(layout: Layout, diameter: float, radius: float | None = None) -> Pupil:
+    """Return the pupil of a diameter [m] that a mirror fills.
 
-    The default radius [m] is that of the outermost actuator plus half a spacing; the default
-    diameter [m] is magnified as by LBT's secondaries, 4.11 m in the pupil for 0.452 m.
+    The default radius [m] of the mirror is that of the outermost actuator plus half a spacing.
     """
     if radius is None:
         outermost = float(np.hypot(*centred(layout)).max())
         radius = outermost * (1.0 + 0.5 * np.sqrt(np.pi / layout.n))
-    return Pupil(radius, 2.0 * LBT_MAGNIFICATION * radius if diameter is None else diameter)
+    return Pupil(radius, diameter)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

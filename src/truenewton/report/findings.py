@@ -303,7 +303,9 @@ class Findings:
         if name == "temperatures":
             raise ValueError("only the cycles of a campaign have times")
         if name.startswith("modes"):
-            raise ValueError(self.no_modes or "a calibration file has no modes; give the data")
+            missing = "turbulence and power need the diameter of the pupil, and the efficiency"
+            no_modes = self.no_modes or "a calibration file has no modes; give the data"
+            raise ValueError(missing if self.modes else no_modes)
         remedy = f"choose {', '.join(drawn)}"
         raise UnknownName(f"there is no figure '{name}'", remedy=remedy)
 
@@ -312,12 +314,13 @@ class Findings:
 def investigate(
     data: Campaign | StiffnessMatrix | Calibration, method: str | None = None, *,
     calibration: AnyCalibration | None = None, population: bool = False,
-    motion: Array | None = None,
+    motion: Array | None = None, diameter: float | None = None, efficiency: float | None = None,
 ) -> Findings: ...  # fmt: skip
 @overload
 def investigate(
     data: Read, method: str | None = None, *, calibration: AnyCalibration | None = None,
-    population: bool = False, motion: Seen | None = None,
+    population: bool = False, motion: Seen | None = None, diameter: float | None = None,
+    efficiency: float | None = None,
 ) -> Findings | Parts[Calibration]: ...  # fmt: skip
 def investigate(
     data: Read,
@@ -326,6 +329,8 @@ def investigate(
     calibration: AnyCalibration | None = None,
     population: bool = False,
     motion: Seen | None = None,
+    diameter: float | None = None,
+    efficiency: float | None = None,
 ) -> Findings | Parts[Calibration]:
     """Calibrate data and collect the evidence; data that do not suffice are diagnosed instead.
 
@@ -337,6 +342,9 @@ def investigate(
         The result of an earlier calibration of these data, which are then not fitted again.
     method, population, motion
         As in `calibrate`; (n, n).
+    diameter, efficiency
+        Of the telescope's pupil [m], and of the coils, as in `find_modes`. Turbulence is left out
+        if the diameter is not given.
 
     Raises
     ------
@@ -362,20 +370,22 @@ def investigate(
     if isinstance(data, Calibration):
         return Findings(data, data)
     method, options = resolve_method(data, method, population=population, motion=motion)
+    modes = partial(find_modes, diameter=diameter, efficiency=efficiency, accept_rejected=True)
     screened: ScreenedCampaign | None = None
     try:
         if isinstance(data, StiffnessMatrix):
-            return _of_matrix(data, calibration or calibrate(data, method, **options._asdict()))
+            made = calibration or calibrate(data, method, **options._asdict())
+            return _of_matrix(data, made, modes)
         screened = screen_campaign(data)
         if calibration is not None:
             _refuse_other_files(calibration, data)
             alpha = calibration.alpha[calibration.layout.enabled]
-            return _of_campaign(screened, alpha, partial(_read_for, calibration, data))
+            return _of_campaign(screened, alpha, partial(_read_for, calibration, data), modes)
         estimate = estimate_alpha(screened, method, options)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         return Findings(data, None, faults=refusals(error, screened))
     alpha = estimate.values[: int(data.layout.enabled.sum())]
-    return _of_campaign(screened, alpha, partial(calibration_of, data, estimate))
+    return _of_campaign(screened, alpha, partial(calibration_of, data, estimate), modes)
 
 
 def _refuse_other_files(calibration: Calibration, campaign: Campaign) -> None:
@@ -395,9 +405,11 @@ def _read_for(
     return calibration
 
 
-def _of_matrix(matrix: StiffnessMatrix, calibration: Calibration) -> Findings:
+def _of_matrix(
+    matrix: StiffnessMatrix, calibration: Calibration, find: Callable[..., ModalFindings]
+) -> Findings:
     evidence = stiffness_evidence(matrix, calibration)
-    modes, no_modes = _modes(matrix, lambda: find_modes(matrix, calibration, accept_rejected=True))
+    modes, no_modes = _modes(matrix, lambda: find(matrix, calibration))
     return Findings(matrix, calibration, evidence, modes=modes, no_modes=no_modes)
 
 
@@ -405,6 +417,7 @@ def _of_campaign(
     screened: ScreenedCampaign,
     alpha: Array,
     calibrated: Callable[[Sequence[RowReader]], Calibration],
+    find: Callable[..., ModalFindings],
 ) -> Findings:
     """Return the findings of a campaign; ``calibrated`` reads its rows, for all readers at once."""
     campaign = screened.campaign
@@ -414,9 +427,7 @@ def _of_campaign(
     calibration = calibrated(readers)
     evidence, modes = campaign_evidence(screened, calibration, imbalance), None
     if reader is not None:
-        modes, no_modes = _modes(
-            campaign, lambda: find_modes(campaign, calibration, reader=reader, accept_rejected=True)
-        )
+        modes, no_modes = _modes(campaign, lambda: find(campaign, calibration, reader=reader))
     return Findings(campaign, calibration, evidence, modes=modes, no_modes=no_modes)
 
 

@@ -394,8 +394,9 @@ def modal_sections(findings: Findings) -> Iterator[Section]:
     modes = findings.modes
     if modes is not None:
         yield _stiffness_modes(modes)
-        yield _turbulence(modes.after)
-        yield _dissipation(modes.after)
+        if modes.after.costs:
+            yield _turbulence(modes.after)
+            yield _dissipation(modes.after)
     elif findings.no_modes:
         yield Section("modes", "Stiffness modes", (findings.no_modes,))
 
@@ -439,19 +440,20 @@ def _turbulence(base: ModalBase) -> Section:
 
 
 def _dissipation(base: ModalBase) -> Section:
-    cost = base.costs[0]
+    rows = cost_rows(base)
     caption = (
         "Mean power of the worst coil (solid) and of all coils (dotted), static force included,"
         " against the number of modes."
     )
     words = (
-        f"Static force of the actuators: {static_force_text(cost)}.",
+        f"Static force of the actuators: {static_force_text(base)}.",
         "truenewton modes --power W --force N prints the number of modes within a limit.",
     )
     head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",
             "worst (mN)", "power mean (W)", "worst (W)", "total (W)")  # fmt: skip
     table = TextTable(
         "Residual wavefront after N modes of each base; force and power of N stiffness modes",
-        head, tuple(cost_rows(base)),
+        head[: len(rows[0])], tuple(rows),
     )  # fmt: skip
-    return Section("dissipation", "Dissipation", words, "modes-power", caption, (table,))
+    figure = "modes-power" if np.isfinite(base.costs[0].efficiency) else ""
+    return Section("dissipation", "Dissipation", words, figure, caption, (table,))
