@@ -14,6 +14,7 @@ from truenewton.cli.terminal import about, busy, print_result, schema_of
 from truenewton.files.outputs import atomic_outputs, refuse_existing
 
 if TYPE_CHECKING:
+    from truenewton.modal.turbulence import Atmosphere
     from truenewton.report.verdict import Reported
 
 
@@ -118,9 +119,7 @@ def run_modes(
         None, help="Calibration file; by default the data themselves are calibrated."
     ),
     seeing: float | None = typer.Option(None, help="At 500 nm [arcsec]; by default 0.8."),
-    outer_scale: float | None = typer.Option(
-        None, help="Of the turbulence [m]; by default 40, and inf for Kolmogorov's."
-    ),
+    outer_scale: float | None = typer.Option(None, help="[m], by default 40; inf: Kolmogorov's."),
     diameter: float | None = DIAMETER,
     radius: float | None = typer.Option(
         None,
@@ -152,7 +151,6 @@ def run_modes(
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modal_base import Budget
     from truenewton.modal.summary import lines, values
-    from truenewton.modal.turbulence import Atmosphere
     from truenewton.reading import read_alpha, read_data
     from truenewton.records.file import SUFFIXES
 
@@ -160,11 +158,9 @@ def run_modes(
     limits = Budget(power, total_power, force)
     if efficiency is None and min(power, total_power) < math.inf:
         raise typer.BadParameter("--power and --total-power need --efficiency, that of the coils")
-    given = {"seeing": seeing, "outer_scale": outer_scale}
-    turbulence = {name: value for name, value in given.items() if value is not None}
-    if diameter is None and (turbulence or limits != Budget()):
+    atmosphere = _atmosphere(seeing, outer_scale, wanted=diameter is not None)
+    if diameter is None and (atmosphere or limits != Budget()):
         raise typer.BadParameter("turbulence and limits need --diameter, that of the pupil")
-    atmosphere = None if diameter is None else Atmosphere(**turbulence)
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     with busy("reading"):
         data = read_data(*paths, segment=segment)
@@ -174,8 +170,7 @@ def run_modes(
     floating, follows = options.ids(off, "--off"), options.ids(slaved, "--slaved")
     written: list[Path] = []
     with busy("finding modes"), about(paths):
-        motion = options.motion_of(mirror, data)
-        alpha = None
+        motion, alpha = options.motion_of(mirror, data), None
         if calibration is not None:
             alpha = read_alpha(calibration, segment=segment)
             alpha = usable(alpha, accept_rejected=anyway, path=calibration)
@@ -187,15 +182,25 @@ def run_modes(
         shown, as_values = lines(found, limits), values(found, limits) if json else None
         with atomic_outputs():
             if output is not None:
-                written += write_modes(
-                    found, output, limits if diameter else None, overwrite=overwrite
-                )
+                within = limits if diameter else None
+                written += write_modes(found, output, within, overwrite=overwrite)
             if figures is not None:
                 drawn = modes_figures(found, limits)
                 written += write_drawn(drawn, figures, overwrite=overwrite)
     nothing = () if output or figures else (None,)
     schema = schema_of("modes", found)
     print_result(shown, *written, *nothing, values=as_values, schema=schema, quiet=quiet)
+
+
+def _atmosphere(
+    seeing: float | None, outer_scale: float | None, *, wanted: bool
+) -> Atmosphere | None:
+    """Return the turbulence; None if it is neither wanted nor described."""
+    from truenewton.modal.turbulence import Atmosphere
+
+    given = {"seeing": seeing, "outer_scale": outer_scale}
+    known = {name: value for name, value in given.items() if value is not None}
+    return Atmosphere(**known) if wanted or known else None
 
 
 def run_export(
