@@ -179,7 +179,7 @@ def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_
         "truenewton.recalibrate/2": ("recalibrate", folder, "--known", alpha, "--actuators", "3"),
         "truenewton.info/2, of a campaign": ("info", folder),
         "truenewton.track/2": ("track", alpha, cool, "--accuracy", "0.005"),
-        "truenewton.modes/2": ("modes", folder),
+        "truenewton.modes/2": ("modes", folder, "--diameter", "2.13"),
         "truenewton.plan/2": ("plan", plan, "--target", "1e-4"),
         "truenewton.acquire/2": ("acquire", plan, "-o", tmp_path / "day", "--yes"),
         "truenewton.import/2": ("import", matrix, "--mirror", "ring8"),
