@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 
 import truenewton as tn
 from studies.matrices import without_polynomial
-from truenewton.figures.maps import plot_map
 from truenewton.figures.style import ACCENT, COLUMN, INK
 
 FAR = 4.0  # robust standard deviations, beyond which an actuator or a sensor is named
@@ -102,7 +101,7 @@ def draw_alpha(made, apart, efficiency, path):
     """Draw alpha on the map, and its small scale against the efficiency of the magnets."""
     figure = Figure(figsize=(2.1 * COLUMN, 1.05 * COLUMN), layout="constrained")
     left, right = figure.subplots(1, 2)
-    plot_map(made.layout, made.alpha, left)
+    made.plot(ax=left)
     right.plot(100 * efficiency, 100 * apart, "o", color=ACCENT, markersize=1.8)
     slope = np.polyfit(100 * efficiency, 100 * apart, 1)
     ends = np.array([100 * efficiency.min(), 100 * efficiency.max()])
@@ -117,7 +116,7 @@ def draw_sensors(made, path):
     """Draw the gains on the map, and from each magnet to its sensor, thirty times as long."""
     figure = Figure(figsize=(2.1 * COLUMN, 1.05 * COLUMN), layout="constrained")
     left, right = figure.subplots(1, 2)
-    plot_map(made.layout, made.of_sensors("gain"), left, label="true / reading")
+    made.plot("sensor_gain", ax=left)
     layout = made.layout
     x, y = (-made.of_sensors(axis) for axis in "xy")
     right.quiver(

@@ -22,7 +22,7 @@ from truenewton.errors import (
     TrueNewtonWarning,
     UnknownName,
 )
-from truenewton.figures.maps import bears_names, dot_radius, plot_map, segment_places
+from truenewton.figures.maps import bears_names, dot_radius, segment_places
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.segmented import gmt
 from truenewton.modal.turbulence import pupil_of
@@ -369,9 +369,9 @@ def test_the_report_counts_no_segment_that_is_not_to_be_used(whole):
 
 
 def test_figures_show_all_segments(whole):
-    [bars] = figures.plot_actuators(whole).containers
-    assert bars.lines[0].get_ydata() == pytest.approx(whole.column("alpha"), rel=1e-15)
-    names = {text.get_text() for text in plot_map(whole.layout, whole.column("alpha")).texts}
+    points, *_ = figures.plot_actuators(whole).lines
+    assert points.get_ydata() == pytest.approx(whole.column("alpha"), rel=1e-15)
+    names = {text.get_text() for text in whole.plot().texts}
     assert names >= {"1", "2", "3"}
 
 

@@ -88,7 +88,7 @@ def test_another_suffix_is_refused_before_anything_is_read(calibration, inside, 
 def test_plots_of_a_result_are_figures_of_pyplot(calibration):
     findings, change = tn.investigate(calibration), tn.compare(calibration, calibration)
     calls = (
-        calibration.plot_map, calibration.plot_actuators, change.plot_map, change.plot_actuators,
+        calibration.plot, calibration.plot_actuators, change.plot_map, change.plot_actuators,
         lambda: findings.plot("map-leverage"),
     )  # fmt: skip
     for count, call in enumerate(calls, 1):
@@ -96,7 +96,7 @@ def test_plots_of_a_result_are_figures_of_pyplot(calibration):
         assert len(pyplot.get_fignums()) == count
         assert pyplot.gcf() is ax.figure
     mine = pyplot.figure().add_subplot()
-    assert calibration.plot_map(mine) is mine
+    assert calibration.plot(ax=mine) is mine
     assert len(pyplot.get_fignums()) == len(calls) + 1
 
 
@@ -111,7 +111,7 @@ def test_what_a_backend_sets_up_stays(calibration, monkeypatch):
     with mpl.rc_context():
         assert not mpl.rcParams["interactive"]
         monkeypatch.setattr(pyplot, "figure", first)
-        calibration.plot_map()
+        calibration.plot()
         assert mpl.rcParams["interactive"]
 
 

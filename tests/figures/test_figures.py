@@ -1,5 +1,7 @@
 """The figures show what they should, in files a journal takes."""
 
+from dataclasses import replace
+
 import matplotlib
 import numpy as np
 import pytest
@@ -11,15 +13,10 @@ from PIL import Image
 from helpers.balanced import campaign_of
 from truenewton.calibration.figures import write_figures
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import OutputExists
-from truenewton.figures.maps import (
-    mark_rings,
-    names_by_ring,
-    numbers_by_ring,
-    plot_layout,
-    plot_map,
-)
-from truenewton.figures.style import COLUMN
+from truenewton.errors import OutputExists, UnknownName
+from truenewton.figures.layers import Layer
+from truenewton.figures.maps import mark_rings, names_by_ring, numbers_by_ring, plot_layout
+from truenewton.figures.style import ALARM, COLUMN
 from truenewton.mirrors.known import p45
 from truenewton.statics.layout import layout, ring_centre, ring_of, rings
 
@@ -34,7 +31,7 @@ def dots(ax):
 
 
 def test_the_map_shows_every_alpha_once_at_its_place(calibration):
-    ax = calibration.plot_map()
+    ax = calibration.plot()
     [shown] = dots(ax)
     assert np.array_equal(shown.get_array(), calibration.alpha)
     centres = np.array([path.vertices.mean(axis=0) for path in shown.get_paths()])
@@ -45,18 +42,22 @@ def test_the_map_shows_every_alpha_once_at_its_place(calibration):
 
 def test_a_disabled_actuator_is_an_open_circle():
     calibration = calibrate(campaign_of(seed=1, noise=1e-4, disabled=(4,))[0])
-    open_circles, shown = dots(calibration.plot_map())
+    open_circles, shown = dots(calibration.plot())
     assert len(open_circles.get_paths()) == 1
     assert len(shown.get_paths()) == calibration.layout.n - 1
 
 
-def test_alpha_stands_with_three_sigma_bars_ring_by_ring(calibration):
-    ax = calibration.plot_actuators()
-    [bars] = ax.containers
-    assert bars.lines[0].get_ydata() == pytest.approx(calibration.alpha, rel=1e-15)
+def test_alpha_stands_ring_by_ring_with_three_sigma_bars_that_can_be_seen(calibration):
+    ax = replace(calibration, statistical_error=1e-4 * calibration.alpha).plot_actuators()
+    assert ax.lines[0].get_ydata() == pytest.approx(calibration.alpha, rel=1e-15)
+    assert not ax.containers
+    [legend] = ax.get_legend().get_texts()
+    assert legend.get_text() == "α; bars of ±3 σ_stat would be smaller than the symbols"
+    large = replace(calibration, statistical_error=0.01 * calibration.alpha)
+    [bars] = large.plot_actuators().containers
     ends = np.array([s[:, 1] for s in bars.lines[2][0].get_segments()])
     half = 0.5 * (ends[:, 1] - ends[:, 0])
-    assert half == pytest.approx(3 * calibration.statistical_error, rel=1e-9)
+    assert half == pytest.approx(0.03 * calibration.alpha, rel=1e-9)
     named = {text.get_text() for text in ax.texts}
     extremes = {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
     assert named == {"ring 1", "ring 2", "ring 3"} | extremes
@@ -81,8 +82,8 @@ def test_the_errors_have_a_panel_of_their_own_in_per_cent_of_alpha(calibration):
     _, below = ax.figure.axes
     assert below.get_yscale() == "log"
     drawn = {line.get_label(): line for line in below.lines}
-    for name, error in (("E_STAT, 1σ", c.statistical_error), ("E_SYST, 1σ", c.systematic_error),
-                        ("E_CYCLE, 3σ", c.cycle_error)):  # fmt: skip
+    for name, error in (("σ_stat", c.statistical_error), ("σ_scale", c.systematic_error),
+                        ("σ_cycle = E_CYCLE / 3", c.cycle_error / 3)):  # fmt: skip
         assert drawn[name].get_xdata() == pytest.approx(np.arange(1, 46))
         assert drawn[name].get_ydata() == pytest.approx(100 * error / c.alpha)
     given = Figure().add_subplot()
@@ -90,8 +91,33 @@ def test_the_errors_have_a_panel_of_their_own_in_per_cent_of_alpha(calibration):
     assert given.figure.axes == [given]
 
 
+def test_every_quantity_has_a_map_with_the_colours_that_are_asked_for(calibration):
+    ax = calibration.plot("e_stat", cmap="viridis", vmin=0.0, vmax=1e-3)
+    [shown] = dots(ax)
+    assert np.array_equal(shown.get_array(), calibration.statistical_error)
+    assert (shown.get_cmap().name, shown.get_clim()) == ("viridis", (0.0, 1e-3))
+    assert {"z, seen along -z", "ring "} <= {text.get_text() for text in ax.texts}
+    [shown] = dots(calibration.plot())  # colours are centred on the mean
+    assert np.mean(shown.get_clim()) == pytest.approx(np.mean(calibration.alpha))
+    with pytest.raises(UnknownName, match="choose alpha, e_alpha, e_stat"):
+        calibration.plot("colour")
+
+
+def test_outliers_of_a_large_mirror_are_named_beside_its_map_and_rings_are_ticks():
+    large = rings(np.linspace(0.03, 0.3, 10), [12 + 5 * k for k in range(10)])
+    values = 1.0 + 0.01 * np.random.default_rng(1).standard_normal(large.n)
+    values[[16, 200]] = 1.3, 0.5
+    layer = Layer("alpha", "alpha", "N/N", values, "", centre=1.0)
+    ax = layer.plot(large)
+    assert {"17", "201"} == {text.get_text() for text in ax.texts if text.get_color() == ALARM}
+    assert "beyond the ends" in ax.figure.axes[1].get_xlabel()
+    ax = Figure().add_subplot()
+    mark_rings(ax, large)
+    assert [text.get_text() for text in ax.get_xticklabels()] == [str(k) for k in range(1, 11)]
+
+
 def test_alpha_stands_in_the_map_as_a_number_where_asked(calibration):
-    ax = plot_map(calibration.layout, calibration.alpha, numbers=True)
+    ax = calibration.plot(annotate=True)
     told = [text.get_text().split("\n") for text in ax.texts if "\n" in text.get_text()]
     assert [int(name) for name, _ in told] == calibration.layout.id.tolist()
     assert [float(value) for _, value in told] == pytest.approx(calibration.alpha, abs=0.0051)
@@ -118,8 +144,8 @@ def test_figures_2_5_and_6_as_pdf_and_png_at_column_width(calibration, tmp_path)
 
 def test_fonts_are_truetype_where_the_user_saves(calibration, tmp_path):
     before = matplotlib.rcParams["pdf.fonttype"]
-    for name, ax in (("own", plot_map(calibration.layout, calibration.alpha)),
-                     ("pyplot", calibration.plot_map())):  # fmt: skip
+    for name, ax in (("own", plot_layout(calibration.layout)),
+                     ("pyplot", calibration.plot())):  # fmt: skip
         ax.figure.savefig(tmp_path / f"{name}.pdf")
         written = (tmp_path / f"{name}.pdf").read_bytes()
         assert b"/CIDFontType2" in written

@@ -106,7 +106,8 @@ def test_the_maps_hold_each_chosen_mode_at_its_place(p45_findings):
     [dots] = ax.collections
     part, (x, y) = np.asarray(dots.get_array()), np.asarray(dots.get_offsets()).T
     chosen = [0, 1, 2, 3, 4, 5, 6, 7, 11, 18, 28, 44]
-    titles = [title.get_text() for title in ax.texts]
+    *titles, view = [text.get_text() for text in ax.texts]
+    assert view == "seen along -z"
     assert [int(title.split(":")[0]) for title in titles] == [k + 1 for k in chosen]
     assert len(part) == 45 * len(chosen)
     for place, k in enumerate(chosen):
@@ -122,18 +123,18 @@ def test_the_maps_hold_each_chosen_mode_at_its_place(p45_findings):
 
 def test_the_curves_are_those_of_the_three_bases(p45_findings):
     costs = p45_findings.modes.after.costs
-    curves = {
+    drawn = {
         "modes-residual": [1e9 * cost.residual[:-1] for cost in costs],
         "modes-power": [f(cost.power, axis=0) for cost in costs for f in (np.max, np.mean)],
     }
-    for name, wanted in curves.items():
+    for name, wanted in drawn.items():
         ax = p45_findings.plot(name)
-        assert len(ax.lines) == len(wanted)
-        for line, values in zip(ax.lines, wanted, strict=True):
+        curves = [line for line in ax.lines if len(line.get_xdata())]
+        for line, values in zip(curves, wanted, strict=True):
             assert line.get_ydata() == pytest.approx(values, rel=1e-6)
             assert line.get_xdata().tolist() == list(range(1, len(values) + 1))
         legend = [text.get_text() for text in ax.get_legend().get_texts()]
-        assert legend == [cost.base for cost in costs]
+        assert legend[:3] == [cost.base for cost in costs]
 
 
 def test_what_the_data_lack_for_modes_is_said(p45_findings, monkeypatch):

@@ -13,6 +13,7 @@ import truenewton as tn
 from helpers import report_data
 from helpers.balanced import arms_of, p45_campaign
 from helpers.report_data import HOSTILE, changed_by, hostile_campaign
+from truenewton.calibration.layers import layers_of
 from truenewton.calibration.methods import calibrate
 from truenewton.comparison.calibrations import compare_calibrations
 from truenewton.errors import CampaignMismatch, UnknownName
@@ -20,7 +21,6 @@ from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
 from truenewton.report.findings import investigate
-from truenewton.report.layers import calibration_layers
 from truenewton.report.page.page import page
 from truenewton.report.verdict import headline_of
 from truenewton.statics.arms import external_load
@@ -115,11 +115,11 @@ def test_the_balance_before_is_that_of_commanded_forces(p45):
 
 
 def test_leverage_is_that_of_the_readings(p45):
-    layers = calibration_layers(p45.calibration, p45.evidence)
+    layers = layers_of(p45.calibration, p45.evidence)
     [layer] = [layer for layer in layers if layer.key == "leverage"]
     assert layer.values.sum() == pytest.approx(3.0)
     read_back = replace(p45.calibration, diagnosis=Diagnosis())
-    [even] = [one for one in calibration_layers(read_back, None) if one.key == "leverage"]
+    [even] = [one for one in layers_of(read_back) if one.key == "leverage"]
     assert even.values == pytest.approx(layer.values, rel=0.4)  # noise taken as even
     assert even.values.sum() == pytest.approx(3.0)
 
@@ -275,5 +275,5 @@ def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):
     found = replace(p45.calibration, effects=(
         tn.Finding(code=tn.Code.ACTUATOR_MISFIT, actuators=(3, 17), corrected=True, remedy="look"),
     ))  # fmt: skip
-    layers = {layer.key: layer for layer in calibration_layers(found, None)}
+    layers = {layer.key: layer for layer in layers_of(found)}
     assert np.flatnonzero(layers["findings"].values).tolist() == [2, 16]

@@ -3,6 +3,7 @@
 methods  from data to a calibration: the method, and its numbers for all actuators
 result   the calibration: alpha, errors, covariance; and its file (docs/files.md)
 workers  segments at the same time, in separate processes
+layers   the quantities of each actuator, for maps and tables
 export   a calibration as a file, in the format of its suffix
 figures  alpha with errors (paper, fig. 5), and all figures of a calibration as files
 verdict  sound, usable, doubtful or rejected; faults of the common scale

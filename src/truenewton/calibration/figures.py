@@ -9,20 +9,23 @@ from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from truenewton.arrays import Array
-from truenewton.estimation.findings.estimate import Scale, typical
-from truenewton.figures.maps import (
-    ALPHA_LABEL,
-    mark_rings,
-    name_point,
-    name_rings,
-    numbers_by_ring,
-    plot_layout,
-    plot_map,
+from truenewton.calibration.layers import alpha_layer
+from truenewton.estimation.findings.estimate import Scale
+from truenewton.figures.maps import mark_rings, name_rings, numbers_by_ring, plot_layout
+from truenewton.figures.style import (
+    ACCENT,
+    ALPHA,
+    BY_RING,
+    COLUMN,
+    CURVES,
+    FAINT,
+    NAMED,
+    legend_above,
+    plain_ticks,
+    styled_axes,
 )
-from truenewton.figures.style import ACCENT, CURVES, INK, NAMED, legend_above, styled_axes
 from truenewton.figures.writing import write_drawn
 from truenewton.records.parts import by_number
 from truenewton.statics.layout import Layout
@@ -42,34 +45,36 @@ class HasColumns(Protocol):
 def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
-    The bars are three standard uncertainties from the readings (3 E_STAT), as in the paper. The
-    error of the common scale, which moves all points together, is in the title. A figure of its own
-    has a second panel with the errors (`plot_errors`), since bars may be smaller than the symbols.
+    The bars are three standard uncertainties from the readings (3 E_STAT), as in the paper, unless
+    all are smaller than the symbols. A figure of its own has a second panel with the errors.
     """
     own = ax is None
     with styled_axes(ax, 1.2 if own else 0.75) as ax:
         layout, alpha = calibration.layout, calibration.column("alpha")
-        numbers, few = numbers_by_ring(layout), layout.n <= NAMED
+        numbers, size = numbers_by_ring(layout), 1.8 if layout.n <= NAMED else 1.0
         error = 3 * calibration.column("statistical_error")
-        ax.errorbar(
-            numbers, alpha, yerr=error, fmt="o", color=ACCENT, ecolor=INK,
-            markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
-        )  # fmt: skip
+        points = 0.35 * 72 * COLUMN / (np.nanmax(alpha) - np.nanmin(alpha))  # for one unit of alpha
+        if 2 * points * np.nanmax(error) > size:
+            width = 0.6 if layout.n < BY_RING else 0.4
+            ax.errorbar(numbers, alpha, yerr=error, fmt="none", ecolor=FAINT, elinewidth=width,
+                        label="±3 σ_stat")  # fmt: skip
+            label = "α"
+        else:
+            label = "α; bars of ±3 σ_stat would be smaller than the symbols"
+        every: Mapping[int, Any] = by_number(calibration)
+        if {one.scale for one in every.values()} == {Scale.MEAN_ONE}:
+            label += "; mean α = 1 by convention"
+        ax.plot(numbers, alpha, "o", color=ACCENT, markersize=size, label=label)
         mark_rings(ax, layout)
         name_rings(ax, layout)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
-        for extreme in (np.nanargmin(alpha), np.nanargmax(alpha)):
-            name_point(ax, layout.id[extreme], numbers[extreme], alpha[extreme])
-        ax.set_ylabel(ALPHA_LABEL)
-        ax.margins(y=0.16)  # names of the rings stand in it
-        note = "bars: 3σ, readings"
-        every: Mapping[int, Any] = by_number(calibration)
-        if {one.scale for one in every.values()} != {Scale.MEAN_ONE}:
-            scale = typical(calibration.column("systematic_error"), alpha)
-            note += f"; common scale ±{100 * scale:.1f} % (1σ)"
-        else:
-            note += f"; scale: {Scale.MEAN_ONE}"
-        ax.set_title(note)
+        for extreme, up in ((np.nanargmin(alpha), -1), (np.nanargmax(alpha), 1)):
+            ax.annotate(str(layout.id[extreme]), (numbers[extreme], alpha[extreme]),
+                        xytext=(0, 3 * up), textcoords="offset points", fontsize=6.0, ha="center",
+                        va="bottom" if up > 0 else "top")  # fmt: skip
+        ax.set_ylabel(ALPHA)
+        ax.margins(y=0.16)  # for the names of rings and extremes
+        legend_above(ax)
         if own:
             panels = ax.figure.add_gridspec(2, 1, height_ratios=(3, 2))
             ax.set_subplotspec(panels[0])
@@ -81,31 +86,29 @@ def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
 
 
 def plot_errors(calibration: HasColumns, ax: Axes | None = None) -> Axes:
-    """Draw the errors of alpha per actuator, ring by ring, relative to alpha.
+    """Draw the errors of alpha per actuator at one sigma, ring by ring, relative to alpha.
 
-    E_SYST from the weights and E_STAT from the readings at one sigma, E_CYCLE from the scatter of
-    the cycles at three, as in the paper. Errors that are unknown or zero are left out.
+    E_SYST from the weights, E_STAT from the readings, and a third of E_CYCLE, which is the paper's
+    three sigma of the scatter of the cycles. Errors that are unknown or zero are left out.
     """
     with styled_axes(ax, 0.6) as ax:
-        c, few = calibration, calibration.layout.n <= NAMED
+        c, size = calibration, 2.0 if calibration.layout.n <= NAMED else 1.0
         alpha = np.abs(c.column("alpha"))
         for name, error, mark, colour in (
-            ("E_SYST, 1σ", c.column("systematic_error"), "_", CURVES[4]),
-            ("E_CYCLE, 3σ", c.column("cycle_error"), "s", CURVES[1]),
-            ("E_STAT, 1σ", c.column("statistical_error"), "o", CURVES[0]),
+            ("σ_scale", c.column("systematic_error"), "_", CURVES[4]),
+            ("σ_cycle = E_CYCLE / 3", c.column("cycle_error") / 3, "s", CURVES[1]),
+            ("σ_stat", c.column("statistical_error"), "o", CURVES[0]),
         ):
             known = error > 0.0  # false of NaN, too
             if known.any():
                 ax.semilogy(
                     numbers_by_ring(c.layout)[known], 100 * (error / alpha)[known], mark,
-                    color=colour, markersize=2.0 if few else 1.0, markerfacecolor="none",
-                    markeredgewidth=0.6, label=name,
+                    color=colour, markersize=2 * size if mark == "_" else size,
+                    markerfacecolor="none", markeredgewidth=0.6, label=name,
                 )  # fmt: skip
         mark_rings(ax, c.layout)
-        ax.set_ylabel(r"error of $\alpha$ (%)")
-        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        ax.yaxis.set_minor_formatter(NullFormatter())
+        ax.set_ylabel("1σ error of α (%)")
+        plain_ticks(ax.yaxis)
         if ax.lines:
             legend_above(ax)
     return ax
@@ -130,7 +133,7 @@ def write_figures(
     more
         Further figures by name: functions that draw one and return its axes.
     numbers
-        Write alpha at each actuator of figure 6 instead of its name.
+        Write alpha, too, at each actuator of figure 6.
     overwrite
         Replace existing figures.
 
@@ -147,8 +150,8 @@ def write_figures(
     figures: dict[str, Callable[[], Axes]] = {
         "fig2-actuators": lambda: plot_layout(calibration.layout),
         "fig5-alpha": lambda: plot_actuators(calibration),
-        "fig6-alpha-map": lambda: plot_map(
-            calibration.layout, calibration.column("alpha"), numbers=numbers
+        "fig6-alpha-map": lambda: alpha_layer(calibration, "alpha", "alpha").plot(
+            calibration.layout, annotate=numbers
         ),
         **(more or {}),
     }

@@ -301,13 +301,49 @@ class Calibration(Result, EstimateFacts):
         with on_screen():
             return plot_actuators(self, ax)
 
-    def plot_map(self, ax: Axes | None = None) -> Axes:
-        """Draw alpha on the map of the actuators (paper, fig. 6); return the axes."""
-        from truenewton.figures.maps import plot_map
+    def plot(
+        self,
+        layer: str = "alpha",
+        *,
+        cmap: str | None = None,
+        vmin: float | None = None,
+        vmax: float | None = None,
+        annotate: bool = False,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Draw a quantity on the map of the actuators (paper, fig. 6); return the axes.
+
+        Parameters
+        ----------
+        layer
+            'alpha', 'e_alpha', 'e_stat', 'e_syst', 'e_cycle', 'leverage', 'sensor_gain',
+            'sensor_dx', 'sensor_dy', 'halves' or 'findings', as in the report.
+        cmap, vmin, vmax
+            Colour map of matplotlib, and its ends, instead of those of the report.
+        annotate
+            Write the values, too, on up to a hundred actuators.
+        ax
+            Axes to draw on; by default new ones, one column wide.
+
+        Raises
+        ------
+        UnknownName
+            The calibration has no such quantity; the message lists those it has.
+
+        Examples
+        --------
+        >>> axes = calibration.plot("e_stat", cmap="viridis")
+        """
+        from truenewton.calibration.layers import layers_of
         from truenewton.figures.style import on_screen
 
+        layers = {each.key: each for each in layers_of(self)}
+        if layer not in layers:
+            remedy = f"choose {', '.join(layers)}"
+            raise UnknownName(f"the calibration has no quantity '{layer}'", remedy=remedy)
         with on_screen():
-            return plot_map(self.layout, self.column("alpha"), ax)
+            drawn = layers[layer].plot
+            return drawn(self.layout, ax, cmap=cmap, vmin=vmin, vmax=vmax, annotate=annotate)
 
 
 AnyCalibration = Calibration | Parts[Calibration]

@@ -15,13 +15,14 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.calibration.layers import alpha_layer
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.chance import FALSE_ALARM, normal_isf
 from truenewton.errors import CampaignMismatch, OutputFailed, RankDeficient
 from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.figures.layers import Layer
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
-from truenewton.figures.style import ACCENT, FAINT, on_screen, styled_axes
+from truenewton.figures.style import ACCENT, FAINT, legend_above, on_screen, styled_axes
 from truenewton.files.format import Column, TableFormat, quantities
 from truenewton.files.outputs import file_beside
 from truenewton.records.file import ID, X, Y
@@ -117,16 +118,11 @@ class Change(Tabulated):
         return (
             Layer("sigmas", "change", "sigma", self.sigmas,
                   "Change of alpha beside the common ratio, in terms of the readings' errors.",
-                  signed=True, reach=reach),
+                  centre=0.0, reach=reach),
             Layer("relative", "change", "%", 100 * self.relative,
-                  "Change of alpha beside the common ratio.", signed=True),
-            *(
-                Layer(key, name, "true N / commanded N", c.column("alpha"),
-                      "True Newton per commanded Newton, with its total error (E_ALPHA).",
-                      c.column("error"))
-                for key, name, c in (("alpha_one", "alpha, first", self.one),
-                                     ("alpha_other", "alpha, second", self.other))
-            ),
+                  "Change of alpha beside the common ratio.", centre=0.0),
+            alpha_layer(self.one, "alpha_one", "alpha, first"),
+            alpha_layer(self.other, "alpha_other", "alpha, second"),
         )  # fmt: skip
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
@@ -139,14 +135,21 @@ class Change(Tabulated):
         layout = self.layout
         with on_screen(), styled_axes(ax, 0.75) as ax:
             numbers = numbers_by_ring(layout)
-            ax.axhspan(-self.limit, self.limit, color=FAINT, alpha=0.2, linewidth=0)
+            ax.axhspan(
+                -self.limit,
+                self.limit,
+                color=FAINT,
+                alpha=0.2,
+                linewidth=0,
+                label=f"±{self.limit:.1f} σ_stat: reached by chance in 1 % of comparisons",
+            )
             ax.axhline(0.0, color=FAINT, linewidth=0.5)
             ax.plot(numbers, self.sigmas, "o", color=ACCENT, markersize=2.0)
             mark_rings(ax, layout)
             for far in self.changed[:10]:
                 name_point(ax, layout.id[far], numbers[far], self.sigmas[far])
-            ax.set_ylabel("change (sigma)")
-            ax.set_title("band: chance alone, 1 % for all")
+            ax.set_ylabel("change of α / σ_stat")
+            legend_above(ax)
         return ax
 
 

@@ -22,8 +22,8 @@ from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding, Verdict, judged
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import balance_effects, orientation_effects
-from truenewton.figures.maps import plot_map
-from truenewton.figures.style import SIGNED_COLOURS, on_screen
+from truenewton.figures.layers import Layer
+from truenewton.figures.style import on_screen
 from truenewton.files.format import Column, TableFormat
 from truenewton.reading import Read, holds_alpha, read
 from truenewton.records.file import ID, X, Y
@@ -124,15 +124,9 @@ class Comparison(Tabulated):
         """Draw the change of alpha on the map of the actuators, and return the axes."""
         change = 100.0 * (np.abs(self.alpha_ratio) - 1.0)
         limit = float(np.percentile(np.abs(change), 98.0)) or 1.0
+        layer = Layer("alpha", "change of alpha", "%", change, "", centre=0.0, reach=limit)
         with on_screen():
-            return plot_map(
-                self.layout,
-                change,
-                ax,
-                label="change of alpha (%)",
-                colours=SIGNED_COLOURS,
-                limits=(-limit, limit),
-            )
+            return layer.plot(self.layout, ax)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -1,4 +1,4 @@
-"""A quantity of all actuators, for maps and tables."""
+"""A quantity of all actuators, for maps and tables; the map of the actuators (paper, fig. 6)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,33 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.figures.maps import plot_map
-from truenewton.figures.style import SIGNED_COLOURS
-from truenewton.rounding import significant, with_error
+from truenewton.figures.maps import (
+    bears_names,
+    draw_dots,
+    draw_frame,
+    name_outside,
+    name_segments,
+)
+from truenewton.figures.style import (
+    ALARM,
+    COLOURS,
+    CROWDED,
+    DIVERGING,
+    FAINT,
+    INK,
+    MILLIMETRE,
+    NAMED,
+    styled_axes,
+)
+from truenewton.rounding import percent, significant, with_error
 from truenewton.statics.layout import Layout
+
+FAR = 5.0  # spreads from the median: an outlier, as in the verdict
+MAX_OUTLIERS = 8  # named on a map
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,42 +45,120 @@ class Layer:
     values: Array  # (n,), NaN if unknown
     meaning: str  # one sentence
     errors: Array | None = None  # (n,) to which the values are rounded; two digits if None
-    signed: bool = False  # whether colours are centred on zero
-    reach: float = float("nan")  # largest value of the colours, if signed; NaN: from the values
+    centre: float = float("nan")  # white of the colours, if they are for both sides of a value
+    reach: float = float("nan")  # from the centre to the ends of the colours; NaN: from the values
+
+    @property
+    def diverging(self) -> bool:
+        """Whether colours are for both sides of a value."""
+        return bool(np.isfinite(self.centre))
 
     @property
     def title(self) -> str:
-        """Name and unit."""
-        return f"{self.name} ({self.unit})" if self.unit else self.name
+        """Name, with the symbol of alpha, and unit."""
+        name = self.name.replace("alpha", "α")
+        if not self.unit:
+            return name
+        return f"{name}, {self.unit}" if name.endswith(")") else f"{name} ({self.unit})"
 
     @property
     def texts(self) -> tuple[str, ...]:
         """(n,) the values as text."""
         if self.errors is not None:
             return tuple(map(with_error, self.values.tolist(), self.errors.tolist()))
-        sign = "+" if self.signed else ""
+        sign = "+" if self.centre == 0.0 else ""
         values = self.values.tolist()
         return tuple((sign if value > 0 else "") + significant(value) for value in values)
 
     @property
     def limits(self) -> tuple[float, float]:
         """Ends of the colours; of more than 100 actuators the outer 1 % at each end are clipped."""
-        if np.isfinite(self.reach):
-            return -self.reach, self.reach
         known = self.values[np.isfinite(self.values)]
         low, high = np.percentile(known, [1.0, 99.0] if known.size > 100 else [0.0, 100.0])
-        if self.signed:
-            high = max(abs(low), abs(high))
-            low = -high
+        if self.diverging:
+            own = max(high - self.centre, self.centre - low)
+            reach = self.reach if np.isfinite(self.reach) else own
+            low, high = self.centre - reach, self.centre + reach
         if high > low:
             return float(low), float(high)
         aside = 0.1 * abs(float(low)) or 1.0
         return float(low) - aside, float(low) + aside
 
-    def plot(self, layout: Layout, ax: Axes | None = None) -> Axes:
-        """Draw it on the map of the actuators; return the axes."""
-        if not self.signed:
-            return plot_map(layout, self.values, ax, label=self.title)
-        return plot_map(
-            layout, self.values, ax, label=self.title, colours=SIGNED_COLOURS, limits=self.limits
-        )
+    @property
+    def outliers(self) -> NDArray[np.int64]:
+        """Indices of at most 8 outliers: farther from the median than 5 times the spread."""
+        apart = np.abs(self.values - np.nanmedian(self.values))
+        spread = 1.4826 * np.nanmedian(apart)
+        if self.errors is not None:
+            spread = np.hypot(spread, self.errors)
+        least = 1e-9 * np.nanmax(np.abs(self.values)) or 1.0  # of equal values, rounded
+        ratio = np.nan_to_num(apart / np.maximum(spread, least))
+        farthest = np.argsort(-ratio, kind="stable")[:MAX_OUTLIERS]
+        return np.asarray(farthest[ratio[farthest] > FAR])
+
+    def colour_note(self, low: float, high: float) -> str:
+        """Return what the colours between two ends do not show: their centre, what is beyond."""
+        notes = [f"white: {significant(self.centre, 3)}"] if self.diverging else []
+        with np.errstate(invalid="ignore"):
+            beyond = int(((self.values < low) | (self.values > high)).sum())
+        if beyond:
+            share = percent(beyond / np.isfinite(self.values).sum())
+            notes.append(f"{beyond} ({share}) beyond the ends")
+        return "; ".join(notes)
+
+    def plot(
+        self,
+        layout: Layout,
+        ax: Axes | None = None,
+        *,
+        cmap: str | None = None,
+        vmin: float | None = None,
+        vmax: float | None = None,
+        annotate: bool = False,
+    ) -> Axes:
+        """Draw it on the map of the actuators (paper, fig. 6); return the axes.
+
+        Up to a hundred actuators have their IDs, if dots have room; with ``annotate`` also their
+        values. Outliers have a red rim, and their IDs beside a map of more. An actuator without a
+        value (disabled) is an open circle.
+        """
+        low, high = self.limits
+        low, high = low if vmin is None else vmin, high if vmax is None else vmax
+        colours = cmap or (DIVERGING if self.diverging else COLOURS)
+        with styled_axes(ax, 1.14) as ax:
+            draw_frame(layout, ax)
+            known = np.isfinite(self.values)
+            draw_dots(ax, layout, ~known, facecolor="none", edgecolor=FAINT, linewidth=0.6)
+            red = np.isin(np.flatnonzero(known), self.outliers)
+            rim = 0.3 if layout.n <= CROWDED else 0.0
+            dots = draw_dots(ax, layout, known, cmap=colours, clim=(low, high),
+                             edgecolor=np.where(red, ALARM, INK),
+                             linewidth=np.where(red, 1.5, rim))  # fmt: skip
+            dots.set_array(self.values[known])
+            below, above = np.nanmin(self.values) < low, np.nanmax(self.values) > high
+            ends = ("neither", "max", "min", "both")[2 * int(below) + int(above)]
+            bar = ax.figure.colorbar(
+                dots, ax=ax, orientation="horizontal", fraction=0.05, pad=0.02, aspect=35,
+                extend=ends,
+            )  # fmt: skip
+            note = self.colour_note(low, high)
+            bar.set_label(f"{self.title}\n{note}" if note else self.title)
+            bar.outline.set_linewidth(0.4)
+            if bears_names(layout) or (annotate and layout.n <= NAMED):
+                self._write_names(ax, layout, dots, annotate=annotate)
+            else:
+                name_outside(ax, layout, self.outliers)
+            name_segments(ax, layout)
+        return ax
+
+    def _write_names(
+        self, ax: Axes, layout: Layout, dots: PatchCollection, *, annotate: bool
+    ) -> None:
+        """Write on the dots the IDs, and the values if they are annotated."""
+        for name, x, y, value in zip(layout.id, layout.x, layout.y, self.values, strict=True):
+            known = np.isfinite(value)
+            light = np.dot(dots.to_rgba(value)[:3], [0.299, 0.587, 0.114])
+            text = f"{name}\n{significant(value, 3)}" if annotate and known else str(name)
+            ax.text(x / MILLIMETRE, y / MILLIMETRE, text, ha="center", va="center",
+                    fontsize=4.0 if annotate else 5.0, linespacing=1.0,
+                    color=FAINT if not known else INK if light > 0.5 else "white")  # fmt: skip

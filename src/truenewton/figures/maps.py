@@ -1,7 +1,4 @@
-"""Maps of a mirror: the actuators (paper, fig. 2), alpha or another value at each (fig. 6).
-
-Drawn at the width of a journal's column. Every call takes axes or makes its own, and returns them.
-"""
+"""Places on a mirror: rings on an axis and on a map, names, and the actuators (paper, fig. 2)."""
 
 from __future__ import annotations
 
@@ -16,14 +13,12 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.figures.style import COLOURS, CROWDED, FAINT, INK, MILLIMETRE, NAMED, styled_axes
-from truenewton.rounding import significant
+from truenewton.figures.style import ALARM, BY_RING, FAINT, INK, MILLIMETRE, NAMED, styled_axes
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
 
 NUMBER = 0.045  # half the height of a segment's number, over the mirror's radius
 MIN_DOT = 0.02  # radius of a dot with room for three digits, over the width of the mirror
 MIN_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
-ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
 
 
 def numbers_by_ring(layout: Layout) -> NDArray[np.int64]:
@@ -61,13 +56,18 @@ def ring_radii(layout: Layout) -> list[float]:
 
 
 def mark_rings(ax: Axes, layout: Layout) -> None:
-    """Label an axis of actuators and its ticks, and draw lines between the rings."""
-    if names := names_by_ring(layout):
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda place, _: names.get(round(place), "")))
+    """Label an axis of actuators, and draw lines between the rings; ticks of many are rings."""
     for edge in ring_edges(layout):
         ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
-    ax.set_xlabel(ring_label(layout))
+    rings = ring_names(layout) if layout.n >= BY_RING else {}
+    if rings:
+        kind = group_name(layout)
+        ax.set_xticks(list(rings), [name.removeprefix(f"{kind} ") for name in rings.values()])
+        ax.tick_params(axis="x", length=0)
+    elif names := names_by_ring(layout):
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda place, _: names.get(round(place), "")))
+    ax.set_xlabel(f"{kind}, one point for each actuator" if rings else ring_label(layout))
 
 
 def ring_names(layout: Layout) -> dict[float, str]:
@@ -83,8 +83,8 @@ def ring_names(layout: Layout) -> dict[float, str]:
 
 
 def name_rings(ax: Axes, layout: Layout) -> None:
-    """Write the names of the rings above an axis of actuators."""
-    for middle, name in ring_names(layout).items():
+    """Write the names of the rings above an axis of actuators, if they are not its ticks."""
+    for middle, name in ring_names(layout).items() if layout.n < BY_RING else ():
         ax.text(middle, 0.985, name, transform=ax.get_xaxis_transform(),
                 ha="center", va="top", fontsize=6.0, color=INK)  # fmt: skip
 
@@ -100,110 +100,101 @@ def plot_layout(layout: Layout, ax: Axes | None = None, edges: Sequence[Array] =
 
     Edges of the glass, (vertices, 2) polygons [m], are drawn if they are given.
     """
-    with styled_axes(ax, 1.0) as ax:
-        _frame(layout, ax, max((np.hypot(*edge.T).max() for edge in edges), default=0.0))
+    with styled_axes(ax, 1.07) as ax:
+        draw_frame(layout, ax, max((np.hypot(*edge.T).max() for edge in edges), default=0.0))
         for edge in edges:
             ax.add_patch(Polygon(edge / MILLIMETRE, fill=False, color=INK, linewidth=0.8, zorder=0))
-        _mark_view(ax)
-        ax.add_collection(
-            PatchCollection(_circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
-        )
+        every = np.ones(layout.n, dtype=bool)
+        draw_dots(ax, layout, every, facecolor="white", edgecolor=INK, linewidth=0.6)
         if bears_names(layout):
             for name, x, y in zip(layout.id, layout.x, layout.y, strict=True):
                 ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
                         fontsize=5.5)  # fmt: skip
-        _name_segments(ax, layout)
+        name_segments(ax, layout)
     return ax
 
 
-def plot_map(
-    layout: Layout,
-    values: Array,
-    ax: Axes | None = None,
-    *,
-    label: str = ALPHA_LABEL,
-    colours: str = COLOURS,
-    limits: tuple[float, float] | None = None,
-    numbers: bool = False,
-) -> Axes:
-    """Draw (n,) values on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
-
-    Up to a hundred actuators have their names, if dots have room; with ``numbers`` also their
-    values. An actuator without a value (disabled) is an open circle. With many actuators the
-    colours end at the 1st and 99th percentiles, otherwise at the extremes or at ``limits``.
-    """
-    with styled_axes(ax, 1.02) as ax:
-        _frame(layout, ax)
-        known = np.isfinite(values)
-        patches = np.array(_circles(layout), dtype=object)
-        ax.add_collection(
-            PatchCollection(patches[~known], facecolor="none", edgecolor=FAINT, linewidth=0.6)
-        )
-        rim = 0.3 if layout.n <= CROWDED else 0.0
-        dots = PatchCollection(patches[known], cmap=colours, edgecolor=INK, linewidth=rim)
-        dots.set_array(values[known])
-        clipped = layout.n > NAMED or limits is not None
-        if clipped:
-            ends = limits or np.percentile(values[known], [1.0, 99.0])
-            dots.set_clim(float(ends[0]), float(ends[1]))
-        ax.add_collection(dots)
-        bar = ax.figure.colorbar(
-            dots,
-            ax=ax,
-            orientation="horizontal",
-            fraction=0.05,
-            pad=0.02,
-            aspect=35,
-            extend="both" if clipped else "neither",
-        )
-        bar.set_label(label)
-        bar.outline.set_linewidth(0.4)
-        if bears_names(layout) or (numbers and layout.n <= NAMED):
-            for name, x, y, value in zip(layout.id, layout.x, layout.y, values, strict=True):
-                light = np.dot(dots.to_rgba(value)[:3], [0.299, 0.587, 0.114])
-                colour = INK if light > 0.5 else "white"
-                text = (
-                    f"{name}\n{significant(value, 3)}"
-                    if numbers and np.isfinite(value)
-                    else str(name)
-                )
-                ax.text(x / MILLIMETRE, y / MILLIMETRE, text, ha="center", va="center",
-                        fontsize=4.0 if numbers else 5.0, linespacing=1.0,
-                        color=colour if np.isfinite(value) else FAINT)  # fmt: skip
-        _name_segments(ax, layout)
-    return ax
+def draw_dots(ax: Axes, layout: Layout, some: NDArray[np.bool_], **looks: Any) -> PatchCollection:
+    """Draw the dots of some actuators; return them."""
+    radius = dot_radius(layout)
+    places = zip(layout.x[some] / MILLIMETRE, layout.y[some] / MILLIMETRE, strict=True)
+    dots = PatchCollection([Circle(place, radius) for place in places], **looks)
+    ax.add_collection(dots)
+    return dots
 
 
-def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
-    """Draw rings and axes [mm], seen along -z, with room for a glass of a radius [m]."""
-    x, y = ring_centre(layout)
-    for radius in ring_radii(layout):
-        ax.add_patch(
-            Circle(
-                (x / MILLIMETRE, y / MILLIMETRE),
-                radius,
-                fill=False,
-                color=FAINT,
-                linewidth=0.4,
-                zorder=0,
-            )
-        )
-    farthest = np.hypot(layout.x, layout.y).max() / MILLIMETRE
+def name_outside(ax: Axes, layout: Layout, which: NDArray[np.int64]) -> None:
+    """Write the IDs of some actuators around the map, each with a line to its dot."""
+    for k, x, y in outside_places(layout, which):
+        ax.plot([layout.x[k] / MILLIMETRE, x], [layout.y[k] / MILLIMETRE, y], color=ALARM,
+                linewidth=0.5)  # fmt: skip
+        ax.text(x, y, str(layout.id[k]), fontsize=6.0, color=ALARM, va="center",
+                ha="left" if x > 0 else "right")  # fmt: skip
+
+
+def outside_places(layout: Layout, which: NDArray[np.int64]) -> list[tuple[int, float, float]]:
+    """Return some actuators with x and y [mm] for their IDs around the map, clear of its axes."""
+    reach = 1.02 * float(np.hypot(layout.x, layout.y).max()) / MILLIMETRE + dot_radius(layout)
+    places: list[tuple[int, float, float]] = []
+    angles = np.arctan2(layout.y[which], layout.x[which])
+    least = -np.pi
+    for k in np.argsort(angles).tolist():
+        from_axis = (angles[k] + np.pi / 4) % (np.pi / 2) - np.pi / 4
+        clear = angles[k] - from_axis + np.copysign(max(abs(from_axis), 0.07), from_axis)
+        least = max(least, float(clear))
+        places.append((int(which[k]), reach * np.cos(least), reach * np.sin(least)))
+        least += 0.07  # one line of text
+    return places
+
+
+def draw_frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
+    """Draw rings with their numbers and axes [mm], seen along -z, about a glass of a radius [m]."""
+    farthest = float(np.hypot(layout.x, layout.y).max()) / MILLIMETRE
     named = 1.1 * max((np.hypot(x, y) for _, x, y in segment_places(layout)), default=0.0)
     reach = 1.08 * max(farthest + dot_radius(layout), glass / MILLIMETRE, named)
     arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
-    for name, (x, y), ha, va in (("$x$", (reach, 0.0), "right", "bottom"),
-                                 ("$y$", (0.0, reach), "left", "top")):  # fmt: skip
+    for name, (x, y), ha, va in (("x", (reach, 0.0), "right", "bottom"),
+                                 ("y", (0.0, reach), "left", "top")):  # fmt: skip
         ax.annotate("", (x, y), (-x, -y), arrowprops=arrow, zorder=0)
-        ax.annotate(name, (x, y), xytext=(2, 2), textcoords="offset points", ha=ha, va=va)
+        ax.annotate(name, (x, y), xytext=(2, 2), textcoords="offset points", ha=ha, va=va,
+                    style="italic")  # fmt: skip
     ax.set_xlim(-reach, reach)
-    ax.set_ylim(-reach, reach)
+    ax.set_ylim(-1.16 * reach, reach)
     ax.set_aspect("equal")
     ax.set_axis_off()
-    bar = _round_length(farthest / 2)
-    ax.plot([reach - bar, reach], [-0.97 * reach] * 2, color=INK, linewidth=1.0,
-            solid_capstyle="butt")  # fmt: skip
-    ax.text(reach - bar / 2, -0.95 * reach, f"{bar:g} mm", ha="center", va="bottom", fontsize=6.5)
+    bar, low = _round_length(farthest / 2), -0.93 * reach
+    ax.plot([reach - bar, reach], [low, low], color=INK, linewidth=1.0, solid_capstyle="butt")
+    ax.text(reach - bar / 2, low + 0.02 * reach, f"{bar:g} mm", ha="center", va="bottom",
+            fontsize=6.0)  # fmt: skip
+    for size in (6.0, 1.2):  # z, the point of an arrow
+        ax.plot([-0.96 * reach], [-1.1 * reach], "o", markersize=size, markeredgewidth=0.6,
+                markerfacecolor="none", color=INK)  # fmt: skip
+    ax.text(-0.9 * reach, -1.1 * reach, "z, seen along -z", fontsize=6.0, va="center")
+    _draw_rings(layout, ax, -1.04 * reach)
+
+
+def _draw_rings(layout: Layout, ax: Axes, low: float) -> None:
+    """Draw the rings, and their numbers on a rule below the map, from the centre to the right."""
+    x, y = (value / MILLIMETRE for value in ring_centre(layout))
+    radii = ring_radii(layout)
+    for radius in radii:
+        ax.add_patch(Circle((x, y), radius, fill=False, color=FAINT, linewidth=0.4, zorder=0))
+    if len(radii) < 2:
+        return
+    places = [x, *(x + radius for radius in radii)]
+    ax.plot(places, [low] * len(places), "|-", color=FAINT, linewidth=0.4, markersize=3.0)
+    ax.text(x, 1.03 * low, "ring ", ha="right", va="top", fontsize=5.5)
+    for k, radius in shown_rings(radii):
+        ax.text(x + radius, 1.03 * low, str(k), ha="center", va="top", fontsize=5.5)
+
+
+def shown_rings(radii: Sequence[float]) -> list[tuple[int, float]]:
+    """Return numbers and radii of the rings that have room for their number, the last included."""
+    shown: list[tuple[int, float]] = []
+    for k in range(len(radii), 0, -1):
+        if not shown or shown[-1][1] - radii[k - 1] > 0.075 * radii[-1]:
+            shown.append((k, radii[k - 1]))
+    return shown[::-1]
 
 
 def segment_places(layout: Layout) -> list[tuple[int, float, float]]:
@@ -230,7 +221,7 @@ def segment_places(layout: Layout) -> list[tuple[int, float, float]]:
     return places
 
 
-def _name_segments(ax: Axes, layout: Layout) -> None:
+def name_segments(ax: Axes, layout: Layout) -> None:
     """Write the number of each segment, over dots with a rim of white."""
     from matplotlib.patheffects import withStroke
 
@@ -238,16 +229,6 @@ def _name_segments(ax: Axes, layout: Layout) -> None:
     for number, x, y in segment_places(layout):
         ax.text(x, y, str(number), ha="center", va="center", fontsize=9.0, fontweight="bold",
                 color=INK, path_effects=rim)  # fmt: skip
-
-
-def _mark_view(ax: Axes) -> None:
-    """Draw z, towards the reader, in the lower left corner, and label the direction of view."""
-    looks: Any = {"transform": ax.transAxes, "color": INK, "linestyle": "none"}
-    for size in (6.0, 1.2):  # the point of an arrow
-        ax.plot([0.03], [0.03], "o", markersize=size, markeredgewidth=0.6,
-                markerfacecolor="none", **looks)  # fmt: skip
-    ax.text(0.06, 0.03, r"$z$, seen along $-z$", fontsize=6.5, va="center",
-            transform=ax.transAxes)  # fmt: skip
 
 
 def _round_length(length: float) -> float:
@@ -271,12 +252,3 @@ def dot_radius(layout: Layout) -> float:
     points = np.stack([layout.x, layout.y], axis=1) / MILLIMETRE
     distance = np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1]
     return float(0.42 * np.median(distance))
-
-
-def _circles(layout: Layout) -> list[Circle]:
-    """Return a dot for each actuator, in millimetres."""
-    radius = dot_radius(layout)
-    return [
-        Circle((x / MILLIMETRE, y / MILLIMETRE), radius)
-        for x, y in zip(layout.x, layout.y, strict=True)
-    ]

@@ -9,17 +9,23 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 COLUMN = 8.4 / 2.54  # width of the paper's column [inch]
 MILLIMETRE = 1e-3
+# Labels of quantities, the same in every figure. Unicode: matplotlib's formulas take 0.2 s to load.
+ALPHA = "α (true N / commanded N)"
+SIGMA_STAT = "statistical σ_stat (E_STAT)"
+SIGMA_SCALE = "scale σ_scale (E_SYST)"
+SIGMA = "total σ (E_ALPHA)"
 COLOURS = "cividis"  # of values, in matplotlib; Bokeh writes it with a capital
-SIGNED_COLOURS = "PuOr_r"  # of values about zero; negative purple, as in Bokeh
+DIVERGING = "PuOr_r"  # of values about a centre; below it purple, as in Bokeh
 INK, FAINT, ACCENT, ALARM = "#1a1a1a", "#9a9a9a", "#00457c", "#a63603"
 # Of several curves; they differ in lightness too, so that they stay apart in grey.
 CURVES = ("#00457c", "#c8891c", "#4f8f6b", "#8c3d88", "#5c5c5c")
-# Titles are notes on how to read a figure; captions describe the content.
 STYLE: Any = {
     "font.size": 8.0,
     "axes.labelsize": 8.0,
@@ -27,10 +33,6 @@ STYLE: Any = {
     "ytick.labelsize": 7.0,
     "legend.fontsize": 6.5,
     "legend.frameon": False,
-    "axes.titlesize": 6.5,
-    "axes.titlelocation": "right",
-    "axes.titley": 1.0,  # no other text is above the axes
-    "axes.titlecolor": INK,
     "axes.linewidth": 0.6,
     "lines.linewidth": 0.8,
 }
@@ -38,6 +40,7 @@ STYLE: Any = {
 FONTS: Any = {"pdf.fonttype": 42, "ps.fonttype": 42}
 LONGEST = 40  # letters of a label; longer ones would leave no room for the axes
 NAMED = 100  # actuators; more have no names on a map
+BY_RING = 300  # actuators; the axis of more has rings as ticks, not actuators
 CROWDED = 1000  # actuators; with more, outlines would hide the colours
 _ON_SCREEN: ContextVar[bool] = ContextVar("on_screen", default=False)
 
@@ -89,7 +92,23 @@ def legend_above(ax: Axes) -> None:
     """Put the legend of labelled curves above the axes, where it covers none of them."""
     longest = max(map(len, ax.get_legend_handles_labels()[1]))
     beside = max(1, min(4, 60 // (longest + 9)))  # of a line of some sixty letters
-    ax.legend(ncols=beside, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0)
+    ax.legend(ncols=beside, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.2)
+
+
+def plain_ticks(*axes: Axis) -> None:
+    """Label ticks of logarithmic axes at 1, 2 and 5 (over many decades at 1), without formulas."""
+    for axis in axes:
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300 * low else (1.0,)))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def label_line(ax: Axes, level: float, text: str) -> None:
+    """Draw a level across the axes, dashed, and write its meaning outside them, at the right."""
+    ax.axhline(level, color=INK, linewidth=0.6, linestyle="--", zorder=1)
+    ax.annotate(text, (1.0, level), xycoords=("axes fraction", "data"), xytext=(2, 0),
+                textcoords="offset points", va="center", fontsize=6.5)  # fmt: skip
 
 
 def plain(text: str) -> str:

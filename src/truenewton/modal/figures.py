@@ -8,16 +8,17 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from truenewton.figures.maps import dot_radius
 from truenewton.figures.style import (
     CURVES,
-    FAINT,
+    DIVERGING,
     INK,
     MILLIMETRE,
     NAMED,
-    SIGNED_COLOURS,
+    label_line,
+    legend_above,
+    plain_ticks,
     styled_axes,
 )
 from truenewton.modal.findings import ModalFindings
@@ -52,7 +53,7 @@ def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
             [2 * radius], [2 * radius], [0.0], units="xy", offset_transform=ax.transData,
             offsets=np.stack([np.add.outer(right, layout.x / MILLIMETRE).ravel(),
                               np.add.outer(up, layout.y / MILLIMETRE).ravel()], axis=1),
-            cmap=SIGNED_COLOURS, edgecolor=INK, linewidth=0.2 if layout.n <= NAMED else 0.0,
+            cmap=DIVERGING, edgecolor=INK, linewidth=0.2 if layout.n <= NAMED else 0.0,
             clip_on=False,
         )  # fmt: skip
         dots.set_array((modes / np.abs(modes).max(axis=0)).T.ravel())
@@ -64,6 +65,8 @@ def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
         ax.set_xlim(-0.5 * MAP_WIDTH * reach, (MAPS_PER_ROW - 0.5) * MAP_WIDTH * reach)
         ax.set_ylim((-rows + 0.55) * MAP_HEIGHT * reach, 0.55 * MAP_HEIGHT * reach)
         ax.set_aspect("equal")
+        ax.text(1.0, 0.0, "seen along -z", transform=ax.transAxes, fontsize=6.0, ha="right",
+                va="bottom")  # fmt: skip
         ax.set_axis_off()
     return ax
 
@@ -74,13 +77,10 @@ def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
         for cost, colour, line in zip(base.costs, CURVES, LINES, strict=False):
             left = cost.residual[:-1] / NANOMETRE  # without the last, which is 0
             ax.loglog(np.arange(1, left.size + 1), left, line, color=colour, label=cost.base)
-        for axis in (ax.xaxis, ax.yaxis):
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-            axis.set_minor_formatter(NullFormatter())
-        ax.set_xlabel("number of modes")
+        plain_ticks(ax.xaxis, ax.yaxis)
+        ax.set_xlabel("number of modes N")
         ax.set_ylabel("residual wavefront, rms (nm)")
-        ax.legend(loc="lower left")
+        legend_above(ax)
     return ax
 
 
@@ -91,15 +91,17 @@ def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
         for cost, colour in zip(base.costs, CURVES, strict=False):
             ax.semilogy(number, cost.power_worst, color=colour, label=cost.base)
             ax.semilogy(number, cost.power_mean, color=colour, linestyle=":")
+        ax.plot([], [], color=INK, label="worst coil")
+        ax.plot([], [], color=INK, linestyle=":", label="mean of all coils")
         least = min(cost.power_mean.min() for cost in base.costs)
         most = max(cost.power_worst.max() for cost in base.costs)
         ax.set_ylim(bottom=max(0.8 * least, MIN_POWER * most))
         if np.isfinite(limits.power):
-            ax.axhline(limits.power, color=FAINT, linewidth=0.6, linestyle="--")
-        ax.set_xlabel("number of modes")
+            label_line(ax, limits.power, "limit")
+        plain_ticks(ax.yaxis)
+        ax.set_xlabel("number of modes N")
         ax.set_ylabel("power of a coil (W)")
-        ax.set_title("full: the worst coil; dotted: the mean")
-        ax.legend(frameon=True, edgecolor="none", framealpha=1.0)
+        legend_above(ax)
     return ax
 
 
@@ -110,13 +112,13 @@ def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
         number = np.arange(1, c.rms_angle.size)
         uncut = ~c.cuts[:-1]
         ax.semilogy(number[uncut], np.degrees(c.rms_angle[:-1][uncut]), "o", color=CURVES[0],
-                    markersize=1.8, label="rms of the N")  # fmt: skip
+                    markersize=1.8, label="rms over N modes")  # fmt: skip
         ax.semilogy(c.orders, np.degrees(c.largest_angle), "s", color=CURVES[1], markersize=1.8,
-                    markerfacecolor="none", label="largest of the N")  # fmt: skip
-        ax.set_xlabel("first N modes")
-        ax.set_ylabel(r"angle between spans (°)")
-        ax.set_title(r"$\alpha = 1$ against calibrated")
-        ax.legend()
+                    markerfacecolor="none", label="largest of N modes")  # fmt: skip
+        plain_ticks(ax.yaxis)
+        ax.set_xlabel("number of modes N")
+        ax.set_ylabel("angle of modes by α = 1 (°)")
+        legend_above(ax)
     return ax
 
 

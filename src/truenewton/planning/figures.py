@@ -8,7 +8,17 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from truenewton.arrays import Array
-from truenewton.figures.style import ACCENT, FAINT, INK, STYLE, new_figure
+from truenewton.figures.style import (
+    ACCENT,
+    FAINT,
+    INK,
+    SIGMA,
+    SIGMA_SCALE,
+    SIGMA_STAT,
+    STYLE,
+    label_line,
+    new_figure,
+)
 from truenewton.planning.plan_prediction import Curve, PlanPrediction
 
 
@@ -29,10 +39,10 @@ def plot_plan(outcome: PlanPrediction, target: float | None = None) -> Axes:
         if better.values.size:
             first.plot(
                 better.values, 100 * better.statistical_error, "-.", color=INK, linewidth=0.8,
-                label="from the readings, by reciprocity",
+                label="σ_stat, by reciprocity",
             )  # fmt: skip
         first.set_xlabel("cycles")
-        first.set_ylabel(r"typical error of $\alpha$, 1σ (%)")
+        first.set_ylabel("typical error of α, 1σ (%)")
         for ax in second:
             _panel(ax, heaviest * by_weight.values, by_weight, heaviest, target)
             ax.set_xlabel("added weight (N)")
@@ -46,9 +56,9 @@ def plot_plan(outcome: PlanPrediction, target: float | None = None) -> Axes:
 def _panel(ax: Axes, x: Array, curve: Curve, planned: float, target: float | None) -> None:
     """Draw the curves against x, where the plan stands at one of the points."""
     for values, line, colour, width, name in (
-        (curve.error, "-", ACCENT, 1.8, "E_ALPHA"),
-        (curve.statistical_error, "--", INK, 0.8, "from the readings"),
-        (curve.systematic_error, ":", FAINT, 1.2, "from the weights"),
+        (curve.error, "-", ACCENT, 1.8, SIGMA),
+        (curve.statistical_error, "--", INK, 0.8, SIGMA_STAT),
+        (curve.systematic_error, ":", FAINT, 1.2, SIGMA_SCALE),
     ):
         if np.isfinite(values).all():
             ax.plot(x, 100 * values, line, color=colour, linewidth=width, label=name)
@@ -56,11 +66,7 @@ def _panel(ax: Axes, x: Array, curve: Curve, planned: float, target: float | Non
     if np.isfinite(curve.error[at]):
         ax.plot(x[at], 100 * curve.error[at], "o", color=ACCENT, markersize=4.5)
     if target is not None:
-        ax.axhline(100 * target, color=INK, linewidth=0.4, zorder=0)
-        ax.annotate(
-            "wanted", (1.0, 100 * target), xycoords=("axes fraction", "data"), xytext=(-2, -2),
-            textcoords="offset points", ha="right", va="top", fontsize=6.0,
-        )  # fmt: skip
+        label_line(ax, 100 * target, "target")
     ax.set_xscale("log", base=2)
     ax.set_yscale("log")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))

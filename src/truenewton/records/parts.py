@@ -282,9 +282,9 @@ class Parts(InParts[Part], Result):
         table.meta = {"INSTRUME": self.instrument}
         return table
 
-    def plot_map(self, ax: Axes | None = None) -> Axes:
-        """Draw alpha on the map of the actuators (paper, fig. 6); return the axes."""
-        drawn: Axes = type(self._one).plot_map(self, ax)  # type: ignore[attr-defined]
+    def plot(self, *layer: str, **looks: Any) -> Axes:
+        """Draw a quantity of all parts on the map of the actuators, as one part does."""
+        drawn: Axes = type(self._one).plot(self, *layer, **looks)  # type: ignore[attr-defined]
         return drawn
 
 

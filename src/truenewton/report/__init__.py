@@ -2,7 +2,6 @@
 
 findings  `investigate`: a calibration, its evidence and modal base, or why there is none
 verdict   the verdict with three numbers, and advice
-layers    the quantities of each actuator, for maps and tables
 figures   figures of the evidence, for papers and the page
 page/     all on one page that opens without network
 """

@@ -6,7 +6,7 @@ Every function takes axes or makes its own, and returns them.
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -17,15 +17,21 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.calibration.layers import layers_of
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.summary import error_budget
+from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
     COLOURS,
     CURVES,
+    SIGMA,
+    SIGMA_SCALE,
+    SIGMA_STAT,
+    label_line,
     legend_above,
     plain,
+    plain_ticks,
     styled_axes,
 )
 from truenewton.modal.figures import modes_figures
@@ -35,7 +41,6 @@ from truenewton.records.cycle import Cycle
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import figures_of
 from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowResiduals
-from truenewton.report.layers import calibration_layers
 from truenewton.rounding import percent
 
 MAX_POINTS = 200  # of a cycle over time; more cannot be distinguished
@@ -52,20 +57,23 @@ MAPS = (  # written; that of alpha is the paper's
 @figures_of.register(Findings)
 def findings_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
     """Return functions that draw each figure of the findings, by name; they take axes or none."""
-    c, evidence = findings.calibration, findings.evidence
+    c, evidence, data = findings.calibration, findings.evidence, findings.data
     drawn: dict[str, Callable[..., Axes]] = {}
     if c is not None:
-        for layer in calibration_layers(c, evidence):
-            name = f"map-{layer.key.replace('_', '-')}"
-            drawn[name] = partial(layer.plot, c.layout)
-        if budget := error_budget(c):
-            drawn["budget"] = partial(plot_budget, budget)
+        for layer in layers_of(c, evidence):
+            drawn[f"map-{layer.key.replace('_', '-')}"] = partial(layer.plot, c.layout)
+        if c.scale != Scale.MEAN_ONE:
+            drawn["budget"] = partial(plot_budget, c)
     if evidence is not None:
-        drawn["residuals"] = partial(plot_residuals, evidence.residuals)
+        residuals = evidence.residuals
+        if isinstance(residuals, ModeResiduals):
+            drawn["residuals"] = partial(plot_balance, residuals)
+        elif isinstance(data, Campaign):
+            drawn["residuals"] = partial(plot_residuals, residuals, data)
         drawn["singular-values"] = partial(plot_singular_values, evidence)
-        drawn["balance"] = partial(plot_balance, evidence.residuals)
-    if isinstance(findings.data, Campaign):
-        drawn["temperatures"] = partial(plot_temperatures, findings.data)
+        drawn["balance"] = partial(plot_balance, residuals)
+    if isinstance(data, Campaign):
+        drawn["temperatures"] = partial(plot_temperatures, data)
     if findings.modes is not None:
         drawn |= modes_figures(findings.modes, Budget())
     return drawn
@@ -77,43 +85,53 @@ def still_figures(findings: Findings | Parts[Calibration]) -> dict[str, Callable
     return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
 
 
-def plot_budget(budget: Mapping[str, float], ax: Axes | None = None) -> Axes:
-    """Draw the error budget: of a typical actuator, and of the common scale by source."""
-    with styled_axes(ax, 0.12 + 0.09 * len(budget)) as ax:
-        bars = ax.barh(range(len(budget)), [100 * size for size in budget.values()], color=ACCENT,
-                       height=0.6)  # fmt: skip
-        ax.bar_label(bars, [percent(size) for size in budget.values()], padding=2, fontsize=6.5)
-        ax.set_yticks(range(len(budget)), [plain(name) for name in budget])
+def plot_budget(c: Calibration, ax: Axes | None = None) -> Axes:
+    """Draw the error budget of a typical actuator: statistics, scale and total."""
+    with styled_axes(ax, 0.36) as ax:
+        names = {SIGMA_STAT: c.statistical_error, SIGMA_SCALE: c.systematic_error, SIGMA: c.error}
+        sizes = [typical(error, c.alpha) for error in names.values()]
+        bars = ax.barh(list(names), [100 * size for size in sizes], color=ACCENT, height=0.6)
+        ax.bar_label(bars, [percent(size) for size in sizes], padding=2, fontsize=6.5)
         ax.invert_yaxis()
         ax.margins(x=0.15)
-        ax.set_xlabel("error of alpha (%)")
+        ax.set_xlabel("typical 1σ error of α (%)")
         ax.spines[["top", "right"]].set_visible(False)
     return ax
 
 
-def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
-    """Draw the imbalance of rows, by shape and cycle, or of modes."""
-    if isinstance(residuals, ModeResiduals):
-        return plot_balance(residuals, ax)
+def plot_residuals(residuals: RowResiduals, campaign: Campaign, ax: Axes | None = None) -> Axes:
+    """Draw the imbalance of rows by shape and cycle, up to the largest of a row that was kept."""
     column, name = columns_of_shapes(residuals)
-    cycles, reach = int(residuals.cycle.max()) + 1, int(np.abs(column).max())
+    cycles, reach = len(campaign.cycles), int(np.abs(column).max())
     image = np.full((cycles, 2 * reach + 1), np.nan)
     np.fmax.at(image, (residuals.cycle, column + reach), residuals.after)
-    with styled_axes(ax, 0.62) as ax:
+    rejected = ~residuals.kept
+    with styled_axes(ax, 0.66) as ax:
         shown = ax.imshow(
-            image, aspect="auto", cmap=COLOURS, vmin=0.0, vmax=4.0, interpolation="nearest",
-            extent=(-reach - 0.5, reach + 0.5, cycles + 0.5, 0.5),
+            image, aspect="auto", cmap=COLOURS, vmin=0.0, vmax=residuals.after[~rejected].max(),
+            interpolation="nearest", extent=(-reach - 0.5, reach + 0.5, cycles + 0.5, 0.5),
         )  # fmt: skip
-        rejected = ~residuals.kept
-        ax.plot(column[rejected], residuals.cycle[rejected] + 1, "x", color=ALARM, markersize=4.0)
+        for k, load in enumerate(campaign.loads):  # a band at the left of its cycles
+            own = np.flatnonzero(np.array(campaign.load_index) == k)
+            ax.vlines(np.full(own.size, -0.012), own + 0.5, own + 1.5, color=_load_colour(k),
+                      linewidth=3.0, transform=ax.get_yaxis_transform(), clip_on=False,
+                      label=plain(load.name))  # fmt: skip
+        if rejected.any():
+            ax.plot(column[rejected], residuals.cycle[rejected] + 1, "x", color=ALARM,
+                    markersize=4.0, label="rejected row")  # fmt: skip
+        ax.tick_params(axis="y", length=0.0, pad=5.0)
         ax.yaxis.set_major_locator(MaxNLocator(integer=True))
         ax.set_xlabel(name)
         ax.set_ylabel("cycle")
-        bar = ax.figure.colorbar(shown, ax=ax, extend="max", aspect=30, pad=0.02)
+        bar = ax.figure.colorbar(shown, ax=ax, extend="max" if rejected.any() else "neither",
+                                 aspect=30, pad=0.02)  # fmt: skip
         bar.set_label("imbalance / noise")
-        if rejected.any():
-            ax.set_title("crosses: rejected")
+        legend_above(ax)
     return ax
+
+
+def _load_colour(index: int) -> str:
+    return CURVES[index % len(CURVES)]
 
 
 def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
@@ -124,8 +142,8 @@ def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
     signed = residuals.signed_shape
     names, index = np.unique(np.abs(signed), return_inverse=True)
     if names[-1] <= 4 * names.size:
-        return signed, "shape, with its sign"
-    return (index + 1) * np.sign(signed), "place of the shape, with its sign"
+        return signed, "shape × sign"
+    return (index + 1) * np.sign(signed), "place of the shape × sign"
 
 
 def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
@@ -141,11 +159,13 @@ def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None
             x, before, after, name = _by_signed_shape(residuals)
             ax.set_xlabel(name)
             ax.set_ylabel("imbalance / noise")
+            label_line(ax, 1.0, "noise")
         ax.set_yscale("log")
         size = 3.0 if len(x) <= 200 else 1.5
         ax.plot(x, before, "o", color=CURVES[1], markersize=size, markerfacecolor="none",
-                label=r"$\alpha = 1$")  # fmt: skip
+                label="α = 1")  # fmt: skip
         ax.plot(x, after, "s", color=CURVES[0], markersize=0.8 * size, label="calibrated")
+        plain_ticks(ax.yaxis, *([ax.xaxis] if ax.get_xscale() == "log" else []))
         legend_above(ax)
     return ax
 
@@ -165,12 +185,14 @@ def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
     """Draw the singular values of the balance."""
     values = np.maximum(evidence.singular_values, 1e-16 * evidence.singular_values[-1])
     with styled_axes(ax, 0.62) as ax:
-        ax.semilogy(np.arange(1, values.size + 1), values, "o", color=ACCENT, markersize=1.8)
-        ax.semilogy([1], values[:1], "D", color=ALARM, markerfacecolor="none", markersize=5.0)
+        ax.semilogy([1], values[:1], "D", color=ALARM, markersize=3.0, label="α itself")
+        ax.semilogy(np.arange(2, values.size + 1), values[1:], "o", color=ACCENT, markersize=1.8,
+                    label="other patterns")  # fmt: skip
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-        ax.set_xlabel(r"pattern of $\alpha$")
+        plain_ticks(ax.yaxis)
+        ax.set_xlabel("pattern of α, number")
         ax.set_ylabel("singular value" + (" / noise" if evidence.in_noise else ""))
-        ax.set_title(r"diamond: $\alpha$ itself")
+        legend_above(ax)
     return ax
 
 
@@ -181,7 +203,7 @@ def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
         for k, cycle in enumerate(campaign.cycles):
             time, temperature = _times(cycle)
             load = campaign.load_index[k]
-            colour = CURVES[load % len(CURVES)]
+            colour = _load_colour(load)
             first = campaign.load_index.index(load) == k
             label = plain(campaign.loads[load].name) if first else None
             if known and temperature is not None:

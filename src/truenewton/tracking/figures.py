@@ -10,21 +10,29 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
-from truenewton.figures.style import ACCENT, FAINT, INK, NAMED, styled_axes
+from truenewton.figures.style import (
+    ACCENT,
+    ALARM,
+    BY_RING,
+    FAINT,
+    INK,
+    NAMED,
+    legend_above,
+    styled_axes,
+)
 from truenewton.records.parts import Parts, by_number
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
 
-OUTLYING = "#b2182b"
 PERCENT = 1e2
-LABEL = {"temperature": "$k$  (% per K)", "drift": r"$d\,/\,\alpha$  (% per year)"}
+LABEL = {"temperature": "k (% per K)", "drift": "d / α (% per year)"}
 
 
 def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
     """Draw how alpha of every actuator varies with one effect, after the other is corrected.
 
     A point is alpha of one day over alpha at T0 and t0, a line the law of an actuator, the band the
-    population: mean and twice its spread. Outliers are red with error bars (E_STAT).
+    population: mean and twice its spread. Outliers are red with bars of 1 sigma (E_STAT).
     """
     t = tracking
     away = np.array([day.temperature - t.temperature for day in t.days])
@@ -51,9 +59,12 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
         inside = np.linspace(ends[0], ends[1], 41)
         low = PERCENT * (population.mean * inside - 2 * population.spread * np.abs(inside))
         high = PERCENT * (population.mean * inside + 2 * population.spread * np.abs(inside))
-        ax.fill_between(origin + unit * inside, low, high, color=FAINT, alpha=0.35, linewidth=0)
-        ax.plot(shown_ends, PERCENT * np.outer(ends, slope[on & ~outlying]), color=ACCENT,
-                linewidth=0.25, alpha=0.6)  # fmt: skip
+        ax.fill_between(origin + unit * inside, low, high, color=FAINT, alpha=0.35, linewidth=0,
+                        label="population, mean ± 2 spreads")  # fmt: skip
+        lines = ax.plot(shown_ends, PERCENT * np.outer(ends, slope[on & ~outlying]),
+                        color=ACCENT, linewidth=0.25, alpha=0.6)  # fmt: skip
+        for line in lines[:1]:
+            line.set_label("law of an actuator")
         if np.count_nonzero(on) <= NAMED:
             ax.plot(shown_x, y[:, on & ~outlying], "o", color=INK, markersize=1.0, alpha=0.6,
                     markeredgewidth=0)  # fmt: skip
@@ -61,15 +72,16 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
         first, last = shown_ends
         ax.set_xlim(first, last + 0.06 * (last - first))  # room for names
         order = np.argsort(x)
-        for one in np.flatnonzero(outlying):
-            line = PERCENT * slope[one] * ends
-            ax.plot(shown_ends, line, color=OUTLYING, linewidth=0.6)
+        for k, one in enumerate(np.flatnonzero(outlying)):
+            law = PERCENT * slope[one] * ends
+            ax.plot(shown_ends, law, color=ALARM, linewidth=0.6)
             ax.errorbar(shown_x[order], y[order, one], yerr=error[order, one], fmt="o",
-                        color=OUTLYING, markersize=2.0, elinewidth=0.6, capsize=1.5)  # fmt: skip
-            name_point(ax, t.layout.id[one], last, line[-1], 2, color=OUTLYING)
+                        color=ALARM, markersize=2.0, elinewidth=0.6, capsize=1.5,
+                        label=None if k else "outlier, ±σ_stat")  # fmt: skip
+            name_point(ax, t.layout.id[one], last, law[-1], 2, color=ALARM)
         ax.set_xlabel(label)
-        ax.set_ylabel(r"change of $\alpha$ (%)")
-        ax.set_title("band: population, mean ± 2 spreads")
+        ax.set_ylabel("change of α (%)")
+        legend_above(ax)
     return ax
 
 
@@ -83,21 +95,26 @@ def plot_population(tracking: Tracking, effect: str, ax: Axes | None = None) -> 
     with styled_axes(ax, 0.75) as ax:
         numbers = numbers_by_ring(layout)
         low, high = population.mean - 2 * population.spread, population.mean + 2 * population.spread
-        ax.axhspan(PERCENT * low, PERCENT * high, color=FAINT, alpha=0.35, linewidth=0)
+        ax.axhspan(PERCENT * low, PERCENT * high, color=FAINT, alpha=0.35, linewidth=0,
+                   label="population, mean ± 2 spreads")  # fmt: skip
         ax.axhline(PERCENT * population.mean, color=INK, linewidth=0.8)
         few = layout.n <= NAMED
-        for some, colour in ((~outlying, ACCENT), (outlying, OUTLYING)):
-            ax.errorbar(numbers[some], PERCENT * values[some], yerr=PERCENT * error[some],
-                        fmt="o", color=colour, ecolor=INK if colour == ACCENT else colour,
-                        markersize=1.8 if few else 1.0, elinewidth=0.5,
-                        capsize=1.2 if few else 0.0)  # fmt: skip
+        for some, colour, name in (
+            (~outlying & np.isfinite(values), ACCENT, "actuator ±1σ"),
+            (outlying, ALARM, "outlier ±1σ"),
+        ):
+            if some.any():
+                ax.errorbar(numbers[some], PERCENT * values[some], yerr=PERCENT * error[some],
+                            fmt="o", color=colour, ecolor=FAINT if colour == ACCENT else colour,
+                            markersize=1.8 if few else 1.0, label=name,
+                            elinewidth=0.5 if layout.n < BY_RING else 0.3)  # fmt: skip
         mark_rings(ax, layout)
         for k in np.flatnonzero(outlying):
-            name_point(ax, layout.id[k], numbers[k], PERCENT * values[k], 3, color=OUTLYING)
+            name_point(ax, layout.id[k], numbers[k], PERCENT * values[k], 3, color=ALARM)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         ax.margins(y=0.12)
         ax.set_ylabel(LABEL[effect])
-        ax.set_title("bars: 1σ; band: population, mean ± 2 spreads")
+        legend_above(ax)
     return ax
 
 

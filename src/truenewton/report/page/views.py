@@ -33,6 +33,7 @@ from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
 from truenewton.arrays import Array
+from truenewton.calibration.layers import layers_of
 from truenewton.calibration.result import AnyCalibration
 from truenewton.comparison.calibrations import Change
 from truenewton.figures.layers import Layer
@@ -48,9 +49,7 @@ from truenewton.figures.maps import (
     segment_places,
 )
 from truenewton.figures.style import ACCENT, ALARM, CROWDED, FAINT, INK, MILLIMETRE, NAMED
-from truenewton.records.parts import has_parts
 from truenewton.report.findings import Evidence
-from truenewton.report.layers import calibration_layers, segment_layers
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
 
@@ -132,7 +131,7 @@ def mirror_map(
 
 def palette(layer: Layer) -> tuple[str, ...]:
     """Return the colours of a layer."""
-    return PuOr11 if layer.signed else Cividis256
+    return PuOr11 if layer.diverging else Cividis256
 
 
 def alpha_by_ring(
@@ -244,7 +243,7 @@ def calibration_views(
     c: AnyCalibration, evidence: Evidence | None, edges: Sequence[Array] = ()
 ) -> Actuators:
     """Return the views of alpha; edges of the glass are (vertices, 2) polygons [m]."""
-    layers = segment_layers(c) if has_parts(c) else calibration_layers(c, evidence)
+    layers = layers_of(c, evidence)
     source, group = actuator_source(c.layout, layers), group_name(c.layout)
     groups, alpha = _shown_groups(c.layout), c.column("alpha")
     known = np.unique(groups[np.isfinite(alpha)]).tolist()

@@ -3,32 +3,38 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.paper.identifiability import leverage
 from truenewton.figures.layers import Layer
-from truenewton.figures.style import MILLIMETRE
-from truenewton.records.parts import Parts
-from truenewton.report.findings import Evidence
+from truenewton.figures.style import MILLIMETRE, SIGMA, SIGMA_SCALE, SIGMA_STAT
+from truenewton.records.parts import has_parts
 from truenewton.statics.arms import arms_in_units_of_rms
 
 
-def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer, ...]:
-    """Return the layers of one calibration that have values."""
+def layers_of(c: Any, evidence: Any = None) -> tuple[Layer, ...]:
+    """Return the layers of a calibration that have values; of its residuals if there is evidence.
+
+    Both are results of modules that need this one: `Calibration`, or `Parts` of it; `Evidence`.
+    """
+    return _of_segments(c) if has_parts(c) else _of_one(c, evidence)
+
+
+def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
     scale_error = np.full(c.layout.n, np.nan) if c.scale == Scale.MEAN_ONE else c.systematic_error
     layers = [
         alpha_layer(c, "alpha", "alpha"),
-        Layer("e_alpha", "error of alpha", "", c.error, "Total standard uncertainty (E_ALPHA)."),
-        Layer("e_stat", "statistical (E_STAT)", "", c.statistical_error,
+        Layer("e_alpha", SIGMA, "N/N", c.error, "Total standard uncertainty of alpha (E_ALPHA)."),
+        Layer("e_stat", SIGMA_STAT, "N/N", c.statistical_error,
               "Standard uncertainty from the noise of the readings (E_STAT): it applies between"
               " actuators of one calibration."),
-        Layer("e_syst", "scale (E_SYST)", "", scale_error,
+        Layer("e_syst", SIGMA_SCALE, "N/N", scale_error,
               "Standard uncertainty from the weights (E_SYST), common to all actuators."),
-        Layer("e_cycle", "scatter of cycles (E_CYCLE)", "", c.cycle_error,
+        Layer("e_cycle", "scatter of cycles, 3σ (E_CYCLE)", "N/N", c.cycle_error,
               "Scatter of the cycles, 3 sigma, as in Ricci 2008 (E_CYCLE)."),
         Layer("leverage", "leverage", "", _leverage(c),
               "Share of the actuator in the noise of the balance; the sum is 3. If it is small, a"
@@ -36,7 +42,7 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
     ]  # fmt: skip
     if evidence is not None:
         layers += [
-            Layer("residual", "residual", "", evidence.actuator_residual,
+            Layer("residual", "residual / noise", "", evidence.actuator_residual,
                   "Correction of the actuator's reading that the imbalance implies, rms over rows,"
                   " in units of its noise (noise alone: 1)."),
             Layer("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
@@ -47,7 +53,7 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
         layers.append(
             Layer("halves", "even less odd modes", "", c.halves,
                   "Relative alpha from the even elastic modes less that from the odd:"
-                  " cross-validation of a matrix.", signed=True)
+                  " cross-validation of a matrix.", centre=0.0)
         )  # fmt: skip
     ids = c.layout.id.tolist()
     named = np.array([sum(i in each.actuators for each in c.findings) for i in ids], dtype=float)
@@ -57,12 +63,12 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
 
-def segment_layers(c: Parts[Calibration]) -> tuple[Layer, ...]:
+def _of_segments(c: Any) -> tuple[Layer, ...]:
     """Return the layers of all segments, NaN if a segment has none."""
-    whole: dict[str, Layer] = {}
+    whole = {"alpha": alpha_layer(c, "alpha", "alpha")}
     for number, one in c.found.items():
         own = c.of(number)
-        for layer in calibration_layers(one, None):
+        for layer in _of_one(one, None)[1:]:
             if layer.key not in whole:
                 values, errors = np.full((2, c.layout.n), np.nan)
                 known = None if layer.errors is None else errors
@@ -73,14 +79,15 @@ def segment_layers(c: Parts[Calibration]) -> tuple[Layer, ...]:
     return tuple(whole.values())
 
 
-def alpha_layer(calibration: AnyCalibration, key: str, name: str) -> Layer:
+def alpha_layer(calibration: Any, key: str, name: str) -> Layer:
     """Return alpha, rounded to its total error."""
-    return Layer(key, name, "true N / commanded N", calibration.column("alpha"),
+    alpha = calibration.column("alpha")
+    return Layer(key, name, "true N / commanded N", alpha,
                  "True Newton per commanded Newton, with its total error (E_ALPHA).",
-                 calibration.column("error"))  # fmt: skip
+                 calibration.column("error"), float(np.nanmean(alpha)))  # fmt: skip
 
 
-def _sensor_layers(c: Calibration) -> list[Layer]:
+def _sensor_layers(c: Any) -> list[Layer]:
     """Return gains and positions of the sensors; NaN without reciprocity."""
 
     def known(name: str, unit: float = 1.0) -> tuple[Array, Array]:
@@ -90,17 +97,17 @@ def _sensor_layers(c: Calibration) -> list[Layer]:
     gain, gain_error = known("gain")
     layers = [
         Layer("sensor_gain", "sensor gain", "true / reading", gain,
-              "True displacement per reading of the actuator's sensor (GAIN).", gain_error),
+              "True displacement per reading of the actuator's sensor (GAIN).", gain_error, 1.0),
     ]  # fmt: skip
     for axis in ("x", "y"):
         offset, error = known(axis, MILLIMETRE)
         meaning = f"{axis} of the actuator less {axis} of its sensor (D{axis.upper()})."
         name = f"actuator less sensor, {axis}"
-        layers.append(Layer(f"sensor_d{axis}", name, "mm", offset, meaning, error, signed=True))
+        layers.append(Layer(f"sensor_d{axis}", name, "mm", offset, meaning, error, centre=0.0))
     return layers
 
 
-def _leverage(c: Calibration) -> Array:
+def _leverage(c: Any) -> Array:
     """Return (n,) leverage of the diagnosis, or for uniform noise; NaN if disabled."""
     if c.diagnosis and c.diagnosis.leverage:
         return spread(np.array(c.diagnosis.leverage), c.layout.enabled)
