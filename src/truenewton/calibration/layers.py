@@ -6,12 +6,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from truenewton.arrays import Array, spread
+from truenewton.errors import UnknownName
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.paper.identifiability import leverage
 from truenewton.figures.layers import Layer
-from truenewton.figures.style import MILLIMETRE, SIGMA, SIGMA_SCALE, SIGMA_STAT
+from truenewton.figures.style import MILLIMETRE, SIGMA, SIGMA_SCALE, SIGMA_STAT, on_screen
 from truenewton.records.parts import has_parts
 from truenewton.statics.arms import arms_in_units_of_rms
 
@@ -22,6 +24,16 @@ def layers_of(c: Any, evidence: Any = None) -> tuple[Layer, ...]:
     Both are results of modules that need this one: `Calibration`, or `Parts` of it; `Evidence`.
     """
     return _of_segments(c) if has_parts(c) else _of_one(c, evidence)
+
+
+def plot_layer(c: Any, key: str, ax: Axes | None, **looks: Any) -> Axes:
+    """Draw a layer of a calibration on the screen, see `Calibration.plot`."""
+    layers = {each.key: each for each in layers_of(c)}
+    if key not in layers:
+        remedy = f"choose {', '.join(layers)}"
+        raise UnknownName(f"the calibration has no quantity '{key}'", remedy=remedy)
+    with on_screen():
+        return layers[key].plot(c.layout, ax, **looks)
 
 
 def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:

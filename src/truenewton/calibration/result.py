@@ -302,15 +302,9 @@ class Calibration(Result, EstimateFacts):
             return plot_actuators(self, ax)
 
     def plot(
-        self,
-        layer: str = "alpha",
-        *,
-        cmap: str | None = None,
-        vmin: float | None = None,
-        vmax: float | None = None,
-        annotate: bool = False,
-        ax: Axes | None = None,
-    ) -> Axes:
+        self, layer: str = "alpha", *, cmap: str | None = None, vmin: float | None = None,
+        vmax: float | None = None, annotate: bool = False, ax: Axes | None = None,
+    ) -> Axes:  # fmt: skip
         """Draw a quantity on the map of the actuators (paper, fig. 6); return the axes.
 
         Parameters
@@ -334,16 +328,9 @@ class Calibration(Result, EstimateFacts):
         --------
         >>> axes = calibration.plot("e_stat", cmap="viridis")
         """
-        from truenewton.calibration.layers import layers_of
-        from truenewton.figures.style import on_screen
+        from truenewton.calibration.layers import plot_layer
 
-        layers = {each.key: each for each in layers_of(self)}
-        if layer not in layers:
-            remedy = f"choose {', '.join(layers)}"
-            raise UnknownName(f"the calibration has no quantity '{layer}'", remedy=remedy)
-        with on_screen():
-            drawn = layers[layer].plot
-            return drawn(self.layout, ax, cmap=cmap, vmin=vmin, vmax=vmax, annotate=annotate)
+        return plot_layer(self, layer, ax, cmap=cmap, vmin=vmin, vmax=vmax, annotate=annotate)
 
 
 AnyCalibration = Calibration | Parts[Calibration]
