@@ -86,7 +86,7 @@ class Layer:
 
     @property
     def outliers(self) -> NDArray[np.int64]:
-        """Indices of at most 8 outliers: farther from the median than 5 times the spread."""
+        """(k,) indices of at most 8 outliers: farther from the median than 5 times the spread."""
         apart = np.abs(self.values - np.nanmedian(self.values))
         spread = 1.4826 * np.nanmedian(apart)
         if self.errors is not None:

@@ -115,7 +115,7 @@ def plot_layout(layout: Layout, ax: Axes | None = None, edges: Sequence[Array] =
 
 
 def draw_dots(ax: Axes, layout: Layout, some: NDArray[np.bool_], **looks: Any) -> PatchCollection:
-    """Draw the dots of some actuators; return them."""
+    """Draw the dots of (n,) some actuators; return them."""
     radius = dot_radius(layout)
     places = zip(layout.x[some] / MILLIMETRE, layout.y[some] / MILLIMETRE, strict=True)
     dots = PatchCollection([Circle(place, radius) for place in places], **looks)
@@ -124,7 +124,7 @@ def draw_dots(ax: Axes, layout: Layout, some: NDArray[np.bool_], **looks: Any) -
 
 
 def name_outside(ax: Axes, layout: Layout, which: NDArray[np.int64]) -> None:
-    """Write the IDs of some actuators around the map, each with a line to its dot."""
+    """Write the IDs of (k,) actuators around the map, each with a line to its dot."""
     for k, x, y in outside_places(layout, which):
         ax.plot([layout.x[k] / MILLIMETRE, x], [layout.y[k] / MILLIMETRE, y], color=ALARM,
                 linewidth=0.5)  # fmt: skip
@@ -133,7 +133,7 @@ def name_outside(ax: Axes, layout: Layout, which: NDArray[np.int64]) -> None:
 
 
 def outside_places(layout: Layout, which: NDArray[np.int64]) -> list[tuple[int, float, float]]:
-    """Return some actuators with x and y [mm] for their IDs around the map, clear of its axes."""
+    """Return (k,) actuators with x and y [mm] for their IDs around the map, clear of its axes."""
     reach = 1.02 * float(np.hypot(layout.x, layout.y).max()) / MILLIMETRE + dot_radius(layout)
     places: list[tuple[int, float, float]] = []
     angles = np.arctan2(layout.y[which], layout.x[which])
