@@ -15,6 +15,7 @@ import scipy.linalg
 from helpers.balanced import p45_campaign
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
+from truenewton.cli import terminal
 from truenewton.cli.main import main
 from truenewton.mirrors.known import p45
 from truenewton.records.cycle import Cycle
@@ -101,7 +102,11 @@ def keys_folder(tmp_path_factory):
 
 @pytest.fixture
 def inside(capsys, monkeypatch):
-    """Return a function that runs the command line in process: exit code, stdout, stderr."""
+    """Return a function that runs the command line in process: exit code, stdout, stderr.
+
+    Lines are not wrapped, so that a test finds its words on one.
+    """
+    monkeypatch.setattr(terminal, "WIDTH", 10_000)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, arguments)])

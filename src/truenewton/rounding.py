@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence, Sized
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence, Sized
 from html import escape
 
+WIDTH = 100  # of text, in columns
 CELL = '<td style="text-align: left; white-space: pre-wrap; font-family: monospace">'
 
 
@@ -93,6 +96,26 @@ def numbered(noun: str, numbers: Sequence[int]) -> str:
 def named(noun: str, names: Sequence[object], most: int) -> str:
     """Return a noun with names, as 'actuators 3, 5 and 8'."""
     return f"{noun if len(names) == 1 else f'{noun}s'} {listed(names, most)}"
+
+
+def row(name: str, value: str, note: str = "") -> str:
+    """Return a line of a summary: name, value and note in columns."""
+    return f"  {name:<22}  {value:<28}  {note}".rstrip()
+
+
+def wrapped(lines: Iterable[str], width: int = WIDTH) -> Iterator[str]:
+    """Yield lines of text of at most a width, continued below the last column of the first."""
+    for line in lines:
+        columns = [gap.end() for gap in re.finditer(r"^ *|  +", line) if gap.end() < 0.6 * width]
+        indent = " " * (columns[-1] if len(columns) > 1 else columns[0] + 2)
+        parts = textwrap.wrap(
+            line.replace(" %", "\xa0%"),
+            width,
+            subsequent_indent=indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        yield from (part.replace("\xa0", " ") for part in parts or [""])
 
 
 def html_table(title: str, rows: Iterable[Sequence[str]], remarks: Iterable[str] = ()) -> str:

@@ -523,10 +523,10 @@ def test_a_transposed_matrix_is_named_and_gets_no_alpha(tmp_path, inside):
     assert code == 0
     assert "LOOKS TRANSPOSED" in out
     assert "alpha        none: the matrix looks transposed" in out
-    assert "next         the same command with --transpose" in out
+    assert "next: the same command with --transpose" in out
     np.save(tmp_path / "k.npy", CASE.k)
     out = inside(*command, "--transpose")[1]
-    assert "next         the same command without --transpose" in out
+    assert "next: the same command without --transpose" in out
 
 
 def test_after_a_matrix_that_gives_no_alpha_calibrate_is_not_the_next(tmp_path, inside):
@@ -536,7 +536,7 @@ def test_after_a_matrix_that_gives_no_alpha_calibrate_is_not_the_next(tmp_path, 
     code, out, _ = inside("import", tmp_path / "k.npy", where, "-o", tmp_path / "k.fits")
     assert code == 0
     assert "alpha        none: " in out
-    assert "  next         correct what is named above, then import again" in out
+    assert "next: correct what is named above, then import again" in out
     assert "truenewton calibrate" not in out
 
 

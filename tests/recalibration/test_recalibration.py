@@ -248,7 +248,7 @@ def test_the_command_writes_an_ordinary_calibration(inside, files, tmp_path):
     code, out, err = inside("recalibrate", after, "--known", alpha, "--actuators", "17", "-o",
                             tmp_path / "new.fits")  # fmt: skip
     assert (code, err) == (0, "")
-    for words in ("-20.", "replaced", "MOVED", "31 ", "earlier calibration 1.7 %",
+    for words in ("-20.", "replaced", "MOVED", "31 ", "the earlier calibration",
                   "they agree", "written"):  # fmt: skip
         assert words in out, words
     made = tn.read(tmp_path / "new.fits")

@@ -34,16 +34,16 @@ typical error of alpha: 0.019 % (E_ALPHA, one sigma)
 common scale: 0.0069 % (E_SYST, from the weights)
 Nothing needs to be done.""",
     "scale_limited": """\
-Usable. Alpha of all 14 actuators of TEST is known, typically to 1.7 %. Alpha can be used, within\
- the limits that are listed.
+Usable. Alpha of all 14 actuators of TEST is known, typically to 1.7 %. Alpha can be used within\
+ the limits below.
 alpha: 0.734 .. 1.021 (true N / commanded N; actuators 1 and 3)
 typical error of alpha: 1.7 % (E_ALPHA, one sigma)
 common scale: 1.7 % (E_SYST, from the weights)
 - The common scale is known to 1.7 %, nearly all of it from the weight of 'ring A'. Weigh it to\
  0.5 mN, and the scale error falls to 0.17 %; a 60 degree tilt known to 0.1 degree gives 0.35 %.""",
     "with_outliers": """\
-Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. Alpha can be used, within\
- the limits that are listed.
+Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. Alpha can be used within\
+ the limits below.
 alpha: 0.73447 .. 1.02071 (true N / commanded N; actuators 1 and 3)
 typical error of alpha: 0.019 % (E_ALPHA, one sigma)
 common scale: 0.0069 % (E_SYST, from the weights)

@@ -450,4 +450,4 @@ def test_a_campaign_and_a_calibration_are_tracked_together(inside, tmp_path):
     kinds = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert kinds == {"track-temperature", "track-population-temperature"}
     assert "one\n" in out
-    assert "LIMIT: temperature and time changed together" in out
+    assert "limit: Temperature and time changed together" in out

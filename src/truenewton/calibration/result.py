@@ -391,6 +391,7 @@ CALIBRATION = FileFormat(
         Keyword(
             "ASYMGAIN", "matrix_facts.asymmetry_with_gains", "and with sensor gains", absent=np.nan
         ),
+        Keyword("UNIQUE", "diagnosis.separation", "second singular value / first", absent=np.nan),
         Keyword("VERDICT", lambda c: str(c.verdict.level), "of all in this file", kind="str"),
     ),
     (
@@ -510,11 +511,13 @@ def calibration_from(file: FitsFile) -> Calibration:
         ) from None
     facts = Symmetry(**values.pop("matrix_facts"))
     values["matrix_facts"] = facts if np.isfinite(facts.asymmetry) else None
-    if "diagnosis" in values:
-        warnings = values["diagnosis"]["warnings"]
+    diagnosis = values["diagnosis"]
+    if "warnings" in diagnosis:
+        warnings = diagnosis["warnings"]
         rows = _rows(*(warnings[name] for name in ("code", "level", "fault", "remedy", "stored")))
         found = (_warning(*row) for row in rows if row[0] or not row[2].startswith(REPEATED))
-        values["diagnosis"] = Diagnosis(warnings=tuple(found))
+        diagnosis["warnings"] = tuple(found)
+    values["diagnosis"] = Diagnosis(**diagnosis)
     return file.filled(Calibration, values)
 
 

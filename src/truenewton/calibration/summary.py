@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import starmap
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.calibration.result import ACTUATORS, CALIBRATIONS, AnyCalibration, Calibration
-from truenewton.calibration.verdict import NO_ERROR, rejected_sentence, scale_limit
+from truenewton.calibration.verdict import NO_ERROR, rejected_sentence
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import (
@@ -28,15 +29,16 @@ from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import Summary, summary_of
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted, percent, significant, to_digits, with_error
+from truenewton.rounding import counted, percent, row, significant, to_digits, with_error
 
 MEANINGS = {
     Level.SOUND: "the stated errors are valid",
-    Level.USABLE: "alpha can be used, within the limits that are listed",
+    Level.USABLE: "alpha can be used within the limits below",
     Level.DOUBTFUL: "the stated errors may be too small: do not load alpha before the checks below",
     Level.REJECTED: "do not use alpha",
 }
-LABELS = {Level.USABLE: "advice", Level.SOUND: "note"}  # of the others: the level
+LABELS = {Level.USABLE: "limit", Level.SOUND: "note"}  # of the others: the level
+Row = tuple[str, str, str]  # name, value, note
 NOISE_FROM = {
     NoiseSource.REPEATS: "from repeated shapes",
     NoiseSource.DECLARED: "as declared by FORCERR",
@@ -44,53 +46,49 @@ NOISE_FROM = {
 }
 
 
-def all_lines(
-    calibration: AnyCalibration, data: Campaign | StiffnessMatrix | SegmentedData
-) -> Iterator[str]:
-    """Yield the summary of a calibration; of one body also imbalances and rejected rows."""
-    yield from summary_lines(calibration)
-    if has_parts(calibration):
-        return
-    if calibration.imbalances:
-        yield "  rms imbalance of elastic modes, force and torques, per unit of force:"
-        yield f"    {'':<32}alpha = 1   calibrated"
-        for line in calibration.imbalances:
-            yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
-    if isinstance(data, Campaign):
-        yield from rejected_lines(data, calibration.rejected_rows)
-
-
-def summary_lines(calibration: AnyCalibration) -> Iterator[str]:
-    """Yield what was found, how sure it is, and what limits it; segment by segment."""
+def summary_lines(calibration: AnyCalibration, changes: Iterable[str] = ()) -> Iterator[str]:
+    """Yield what was found, how certain it is, the lines of what changed, and what limits it."""
     c = calibration
     yield headline(c)
-    for name, value, note in summary_rows(c):
-        yield row(name, value, note)
-    limit = None if has_parts(c) else scale_limit(c)
-    if limit is not None:
-        yield f"  {as_sentences(limit)}"
-    yield from verdict_lines(c.verdict, but=limit)
+    yield from starmap(row, _of_parts(c) if has_parts(c) else _results(c))
+    if not has_parts(c) and c.unseen:
+        yield "  undetectable here, not in E_ALPHA:"
+        yield from (f"    {percent(each.relative):<8}if {each.name}" for each in c.unseen)
+    yield from changes
+    yield from verdict_lines(c.verdict)
 
 
-def row(name: str, value: str, note: str = "") -> str:
-    """Return a line of a table: name, value and note."""
-    return f"  {name:<24}{value:<36}{note}".rstrip()
+def detail_lines(
+    calibration: AnyCalibration, data: Campaign | StiffnessMatrix | SegmentedData | None = None
+) -> Iterator[str]:
+    """Yield the other numbers of a calibration of one body, and the rows of its data left out."""
+    c = calibration
+    if has_parts(c):
+        return
+    yield from starmap(row, _details(c))
+    if c.imbalances:
+        yield "  rms imbalance of elastic modes, force and torques, per unit of force:"
+        yield f"    {'':<32}alpha = 1   calibrated"
+        for line in c.imbalances:
+            yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
+    if isinstance(data, Campaign):
+        yield from rejected_lines(data, c.rejected_rows)
 
 
-def verdict_lines(verdict: Verdict, but: Finding | None = None) -> Iterator[str]:
-    """Yield the level of a verdict and its findings, but for one said already."""
-    only = ", by the common scale" if verdict.faults == (but,) else ""
-    yield row("verdict", f"{verdict.level}{only}", MEANINGS.get(verdict.level, ""))
-    yield from warning_lines(each for each in verdict.findings if each != but)
+def verdict_lines(verdict: Verdict) -> Iterator[str]:
+    """Yield the level of a verdict, its meaning, its findings and advice."""
+    yield row("verdict", str(verdict.level), MEANINGS.get(verdict.level, ""))
+    yield from warning_lines(verdict.findings)
 
 
 def warning_lines(findings: Iterable[Finding | Fault]) -> Iterator[str]:
-    """Yield a line for each finding, with what it leaves of the result; each remedy once."""
+    """Yield a line for each finding, with what it leaves of the result, and one for each remedy."""
     remedies = set[str]()
     for each in findings:
-        label = LABELS.get(each.level, each.level) if isinstance(each, Finding) else "WARNING"
-        repeated = each.remedy in remedies
-        yield f"  {label}: {as_sentences(Fault(each.fault, '') if repeated else each)}"
+        label = LABELS.get(each.level, each.level) if isinstance(each, Finding) else "warning"
+        yield f"  {label}: {as_sentences(Fault(each.fault, ''))}"
+        if each.remedy and each.remedy not in remedies:
+            yield f"  advice: {as_sentences(Fault('', each.remedy))}"
         remedies.add(each.remedy)
 
 
@@ -102,9 +100,9 @@ def as_sentences(said: Finding | Fault) -> str:
 
 def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:
     """Yield the rows left out, a line each, the farthest first, at most five."""
-    rows = sorted(rejected, key=lambda row: -row.sigmas)
-    for row in rows[:5]:
-        yield f"  left out: {rejected_sentence(row, campaign.cycles[row.cycle].name)}"
+    rows = sorted(rejected, key=lambda each: -each.sigmas)
+    for one in rows[:5]:
+        yield f"  left out: {rejected_sentence(one, campaign.cycles[one.cycle].name)}"
     if len(rows) > 5:
         yield f"  and {counted(len(rows) - 5, 'row')} more"
 
@@ -173,26 +171,64 @@ def _summary(calibration: AnyCalibration) -> Summary:
     return Summary(headline(calibration), rows, warning_lines(verdict.faults))
 
 
-def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
+def summary_rows(calibration: AnyCalibration) -> Iterator[Row]:
     """Yield name, value and note of each result, its uncertainty, and what limits it."""
-    if has_parts(calibration):
-        yield from _rows_of_parts(calibration)
-        return
     c = calibration
+    if has_parts(c):
+        yield from _of_parts(c)
+        return
+    yield from _results(c)
+    for each in c.unseen:
+        yield f"if {each.name}", percent(each.relative), "undetectable here, not in E_ALPHA"
+    yield from _details(c)
+
+
+def _results(c: Calibration) -> Iterator[Row]:
+    """Yield the rows of alpha and its errors."""
     ends, ids = _range_of_alpha(c)
     ratio = "relative, mean 1" if c.scale == Scale.MEAN_ONE else "true N / commanded N"
     yield "alpha", ends, f"{ratio}; actuators {ids[0]} and {ids[1]}"
     yield "typical error of alpha", percent(typical(c.error, c.alpha)), "E_ALPHA, one sigma"
     if c.scale == Scale.MEAN_ONE:
-        yield "common scale", "not measured", "cycles under known weights would determine it"
+        yield "common scale", "not measured", "needs cycles under known weights"
+    else:
+        scale = typical(c.systematic_error, c.alpha)
+        if scale > NO_ERROR:
+            yield "  common scale", percent(scale), "E_SYST, from the weights"
+        else:
+            yield "  common scale", "not stated", "the weights are given without errors"
+        biased = ", scatter only: svd is biased besides" if c.method == "svd" else ""
+        statistical = percent(typical(c.statistical_error, c.alpha))
+        yield "  statistical", statistical, f"E_STAT, from the readings{biased}"
+    if fit := c.goodness:
+        note = f"DOF {fit.degrees_of_freedom}, noise from {fit.against}"
+        if np.isfinite(fit.probability):
+            note += f", probability {fit.probability:.2g}"
+        judged = np.isfinite(fit.reduced)
+        yield "fit", f"chi2/DOF = {fit.reduced:.3g}" if judged else "cannot be judged", note
+    if np.isfinite(c.diagnosis.separation):
+        note = "imbalance of the second-best solution relative to the best (1: not unique)"
+        yield "uniqueness", f"{c.diagnosis.separation:.3g}", note
+
+
+def _details(c: Calibration) -> Iterator[Row]:
+    """Yield the rows of what else was found, and of what limits alpha."""
+    if budget := scale_budget(c.scale_errors):
+        parts = (f"{what} {percent(part)}" for what, part in budget.items())
+        yield "budget of the scale", ", ".join(parts), ""
+    if c.scale == Scale.MEAN_ONE:
         yield from _symmetry(c)
     else:
-        yield from _budget(c)
+        if np.isfinite(c.cycle_error).any():
+            ends = map(significant, (np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)))
+            note = "E_CYCLE, 3 sigma, for comparison (Ricci 2008)"
+            yield "scatter of cycles", " .. ".join(ends), note
         yield "bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""
-        torques = np.stack([c.torque_y, c.torque_x], axis=1)
-        for load, values, errors in zip(c.loads, 1e3 * torques, 1e3 * c.torque_errors, strict=True):
-            my, mx = map(with_error, values, errors)
-            yield f"torques, {load.name}", f"{my}, {mx}", "M_y, M_x [mN m] about x = y = 0"
+        torques = np.stack([c.torque_x, c.torque_y], axis=1)
+        errors = c.torque_errors[:, ::-1]
+        for load, values, sigmas in zip(c.loads, 1e3 * torques, 1e3 * errors, strict=True):
+            texts = ", ".join(map(with_error, values, sigmas))
+            yield f"torques, {load.name}", texts, "M_x, M_y [mN m] about x = y = 0"
     if fitted := [sensor for sensor in c.sensors if sensor.state == "fitted"]:
         gains = float(np.std([sensor.gain for sensor in fitted]))
         off = float(np.sqrt(np.mean([[s.x**2, s.y**2] for s in fitted])))
@@ -204,20 +240,11 @@ def summary_rows(calibration: AnyCalibration) -> Iterator[tuple[str, str, str]]:
     if np.isfinite(c.noise):
         source = c.goodness.against if c.goodness is not None else NoiseSource.REPEATS
         yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", NOISE_FROM[source]
-    if fit := c.goodness:
-        note = f"DOF {fit.degrees_of_freedom}, noise from {fit.against}"
-        if np.isfinite(fit.probability):
-            note += f", probability {fit.probability:.2g}"
-        judged = np.isfinite(fit.reduced)
-        yield "fit", f"chi2/DOF = {fit.reduced:.3g}" if judged else "cannot be judged", note
     if c.diagnosis.weakest:
         note = f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2"
         yield "least certain pattern", c.diagnosis.weakest, note
-    if c.diagnosis.eigenvalues:
-        note = "imbalance of the second-best solution relative to the best; 1: not unique"
-        yield "uniqueness", f"{c.diagnosis.separation:.3g}", note
     if np.isfinite(c.condition):
-        note = f"of the balance equations E, scaled to unit RMS; rank {c.rank}"
+        note = f"of the scaled balance equations E; rank {c.rank}"
         yield "condition", f"{c.condition:.3g}", note
     if np.isfinite(c.solved_condition):
         yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"
@@ -229,7 +256,7 @@ def _range_of_alpha(c: Calibration) -> tuple[str, NDArray[np.int64]]:
     return " .. ".join(map(to_digits, c.alpha[ends], c.error[ends])), c.layout.id[ends]
 
 
-def _rows_of_parts(c: Parts[Calibration]) -> Iterator[tuple[str, str, str]]:
+def _of_parts(c: Parts[Calibration]) -> Iterator[Row]:
     """Yield the range of alpha, level, error and B of each segment."""
     for number in c.numbers:
         if number in c.failed:
@@ -242,7 +269,7 @@ def _rows_of_parts(c: Parts[Calibration]) -> Iterator[tuple[str, str, str]]:
         yield f"segment {number}", f"alpha {_range_of_alpha(one)[0]}", note
 
 
-def _symmetry(c: Calibration) -> Iterator[tuple[str, str, str]]:
+def _symmetry(c: Calibration) -> Iterator[Row]:
     """Yield the symmetry of a matrix, and how far its two halves agree."""
     facts = c.matrix_facts
     if facts is not None:
@@ -255,28 +282,6 @@ def _symmetry(c: Calibration) -> Iterator[tuple[str, str, str]]:
         far = np.argsort(-np.abs(np.nan_to_num(c.halves)))[:3]
         names = ", ".join(f"{c.layout.id[k]} ({percent(float(c.halves[k]))})" for k in far)
         yield "halves of the modes", f"alpha differs by {percent(rms)} rms", f"most at {names}"
-
-
-def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows that say where the error comes from."""
-    scale, readings = (
-        percent(typical(error, c.alpha)) for error in (c.systematic_error, c.statistical_error)
-    )
-    stated = typical(c.systematic_error, c.alpha) > NO_ERROR
-    note = "E_SYST, from the weights" if stated else "the weights are given without errors"
-    yield "  common scale", scale if stated else "not stated", note
-    if budget := scale_budget(c.scale_errors):
-        parts = (f"{what} {percent(part)}" for what, part in budget.items())
-        yield "    budget", ", ".join(parts), ""
-    for k, error in enumerate(c.unseen):
-        name = "" if k else "    undetectable here"
-        yield name, "" if k else "not in E_ALPHA", f"{percent(error.relative)} if {error.name}"
-    biased = ", scatter only: svd is biased besides" if c.method == "svd" else ""
-    yield "  statistical", readings, f"E_STAT, from the readings{biased}"
-    if np.isfinite(c.cycle_error).any():
-        ends = map(significant, (np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)))
-        note = "E_CYCLE, 3 sigma, as in Ricci 2008; for comparison"
-        yield "  scatter of cycles", " .. ".join(ends), note
 
 
 def rejected_values(campaign: Campaign, rejected: Sequence[RejectedRow]) -> list[dict[str, Any]]:

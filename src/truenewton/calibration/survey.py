@@ -22,7 +22,6 @@ from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.summary import (
     rejected_lines,
     rejected_values,
-    row,
     summary_lines,
     summary_values,
     verdict_lines,
@@ -49,7 +48,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted, percent, with_error
+from truenewton.rounding import counted, percent, row, with_error
 
 
 def survey(

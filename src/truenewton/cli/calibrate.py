@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
@@ -25,17 +26,23 @@ def run_info(
     mirror: str | None = options.MIRROR_MODEL,
     segment: int | None = options.SEGMENT,
     json: bool = options.JSON,
+    verbose: bool = options.VERBOSE,
     quiet: bool = options.QUIET,
 ) -> None:
     """Print what files contain, and whether alpha can be calibrated from them."""
+    from truenewton.calibration.summary import detail_lines
     from truenewton.calibration.survey import survey
-    from truenewton.reading import read_chosen
+    from truenewton.reading import holds_alpha, read_chosen
 
     with busy("reading and trying to calibrate"):
         data = read_chosen(*paths, segment=segment)
         motion = options.motion_of(mirror, data)
         values, lines = survey(data, method, population=population, motion=motion)
-    print_result(lines, values=values if json else None, schema="info", quiet=quiet)
+        details = detail_lines(data) if holds_alpha(data) else ()
+    as_values = values if json else None
+    print_result(
+        lines, details=details, values=as_values, schema="info", quiet=quiet, verbose=verbose
+    )
 
 
 def run_calibrate(
@@ -55,15 +62,17 @@ def run_calibrate(
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    verbose: bool = options.VERBOSE,
     quiet: bool = options.QUIET,
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
     from truenewton.calibration.export import lacking, suffix_of
     from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.summary import all_lines, summary_values
+    from truenewton.calibration.summary import detail_lines, summary_lines, summary_values
     from truenewton.calibration.verdict import usable
     from truenewton.cluster import connected
     from truenewton.reading import read_data
+    from truenewton.records.parts import has_parts
 
     if output is not None:
         suffix_of(output)
@@ -87,12 +96,23 @@ def run_calibrate(
                 )
                 found: AnyCalibration = waiting.end_of(work)
             found = usable(found, accept_rejected=anyway)
-    lines, values = [*all_lines(found, data)], summary_values(found) if json else None
+    lines, values = [*summary_lines(found)], summary_values(found) if json else None
+    then = ""
     if output is not None:
         found.write(output, overwrite=overwrite)
         lines += filter(None, [lacking(found, output)])
-    schema = schema_of("calibrate", found)
-    print_result(lines, output, values=values, schema=schema, quiet=quiet)
+        of_data = [*map(str, paths), "--calibration"] if not has_parts(found) else []
+        then = shlex.join(["truenewton", "report", *of_data, str(output), "-o", "report.html"])
+    print_result(
+        lines,
+        output,
+        details=detail_lines(found, data),
+        values=values,
+        schema=schema_of("calibrate", found),
+        quiet=quiet,
+        verbose=verbose,
+        then=then,
+    )
 
 
 def run_recalibrate(
@@ -106,10 +126,12 @@ def run_recalibrate(
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    verbose: bool = options.VERBOSE,
     quiet: bool = options.QUIET,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
     from truenewton.calibration.export import suffix_of
+    from truenewton.calibration.summary import detail_lines
     from truenewton.calibration.verdict import usable
     from truenewton.reading import read_chosen
     from truenewton.recalibration.fit import recalibrate
@@ -130,8 +152,15 @@ def run_recalibrate(
     shown, as_values = lines(made, calibration), values(made, calibration) if json else None
     if output is not None:
         calibration.write(output, overwrite=overwrite)
-    schema = schema_of("recalibrate", made)
-    print_result(shown, output, values=as_values, schema=schema, quiet=quiet)
+    print_result(
+        shown,
+        output,
+        details=detail_lines(calibration),
+        values=as_values,
+        schema=schema_of("recalibrate", made),
+        quiet=quiet,
+        verbose=verbose,
+    )
 
 
 def run_compare(
@@ -178,13 +207,14 @@ def run_track(
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    verbose: bool = options.VERBOSE,
     quiet: bool = options.QUIET,
 ) -> None:
     """Find how alpha varies with temperature and time, from calibrations of different days."""
     from truenewton.figures.writing import write_drawn
     from truenewton.tracking.figures import tracking_figures
     from truenewton.tracking.fit import track
-    from truenewton.tracking.summary import lines, values
+    from truenewton.tracking.summary import lines, table_of, values
 
     if accuracy is not None and not 1e-9 <= accuracy <= 1:
         raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
@@ -198,5 +228,13 @@ def run_track(
             law.write(output, overwrite=overwrite)
         if figures is not None:
             drawn = write_drawn(tracking_figures(law), figures, overwrite=overwrite)
-    schema = schema_of("track", law)
-    print_result(shown, output, *drawn, values=as_values, schema=schema, quiet=quiet)
+    print_result(
+        shown,
+        output,
+        *drawn,
+        details=table_of(law),
+        values=as_values,
+        schema=schema_of("track", law),
+        quiet=quiet,
+        verbose=verbose,
+    )

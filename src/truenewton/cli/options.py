@@ -42,6 +42,7 @@ SEGMENT = typer.Option(
     None, "--segment", help="Take one segment of a segmented mirror only, by its number."
 )
 JSON = typer.Option(False, "--json", help="Print numbers as JSON, for scripts.")
+VERBOSE = typer.Option(False, "-v", "--verbose", help="Print all numbers, and all actuators.")
 QUIET = typer.Option(False, "-q", "--quiet", help="Print only the files written and errors.")
 FIDELITY = typer.Option(
     "static",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from truenewton.cli import options
-from truenewton.cli.terminal import busy, print_result, say, table_lines
+from truenewton.cli.terminal import busy, print_result, say, table_lines, tell
 from truenewton.files.outputs import atomic_outputs, folder_beside, refuse_existing
 from truenewton.progress import with_progress
 
@@ -44,7 +44,7 @@ def run_demo(
 
     def show(*lines: object) -> None:
         if not quiet:
-            say(*lines)
+            tell(map(str, lines))
 
     with folder_beside(output, DEMO_FILES, overwrite=overwrite) as work:
         bench, campaign = static_bench(p45(), seed), work / "p45"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -149,7 +150,8 @@ def run_acquire(
     loads, cycles = counted(wanted.loads, "load"), counted(wanted.cycles, "cycle")
     line = f"{output}: complete{' already' if complete else ''}, {loads} x {cycles}{not_valid}"
     written, as_values = (output,) if quiet else (), values if json else None
-    print_result([line], *written, values=as_values, schema="acquire", quiet=quiet)
+    then = shlex.join(["truenewton", "calibrate", str(output), "-o", "alpha.fits"])
+    print_result([line], *written, values=as_values, schema="acquire", quiet=quiet, then=then)
 
 
 class Terminal:
@@ -307,21 +309,22 @@ def _print_matrix(
         print_result((), output, quiet=True)
         return
     answer, calibration = _first_answer(made)
-    lines = [*made.lines, *(f"  {what:<13}{how}" for what, how in answer)]
+    lines = [*made.lines, *answer]
+    then = ""
     if made.transposed:
-        how = "without" if transpose else "with"
-        lines.append(f"  next         the same command {how} --transpose")
+        then = f"the same command {'without' if transpose else 'with'} --transpose"
     elif not made.balanced and (calibration is None or calibration.verdict.level <= Level.REJECTED):
-        lines.append("  next         correct what is named above, then import again")
+        then = "correct what is named above, then import again"
     elif not made.balanced and output is not None:
-        lines.append(f"  next         truenewton calibrate {output} -o alpha.fits")
+        then = f"truenewton calibrate {output} -o alpha.fits"
     values = {
         "instrument": made.matrix.instrument,
         "actuators": made.matrix.layout.n,
         "found": {line[:15].strip(): line[15:] for line in made.lines[1:]},
         "calibration": None if calibration is None else summary_values(calibration),
     }
-    print_result(lines, output, values=values if json else None, schema="import", quiet=quiet)
+    as_values = values if json else None
+    print_result(lines, output, values=as_values, schema="import", quiet=quiet, then=then)
 
 
 def _import_campaign(
@@ -338,14 +341,14 @@ def _import_campaign(
         campaign, lines = campaign_from(path)
         if output is not None:
             write_campaign(campaign, output, overwrite=overwrite)
-    next_line = () if output is None else (f"  next: truenewton calibrate {output} -o alpha.fits",)
     values = {"instrument": campaign.instrument, "actuators": campaign.layout.n}
     values |= {"found": {"cycles": lines[1:]}, "calibration": None}
     as_values = values if json else None
-    print_result((*lines, *next_line), output, values=as_values, schema="import", quiet=quiet)
+    then = "" if output is None else f"truenewton calibrate {output} -o alpha.fits"
+    print_result(lines, output, values=as_values, schema="import", quiet=quiet, then=then)
 
 
-def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | None]:
+def _first_answer(made: Imported) -> tuple[list[str], Calibration | None]:
     """Return lines on what `ml` finds from the matrix or why it finds nothing, and the result.
 
     `calibrate` tries reciprocity too, which takes several times as long.
@@ -354,20 +357,20 @@ def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | 
     from truenewton.calibration.summary import summary_rows, warning_lines
     from truenewton.errors import TrueNewtonError
 
+    def line(what: str, how: str) -> str:
+        return f"  {what:<13}{how}"
+
     if made.transposed:
-        return [("alpha", "none: the matrix looks transposed")], None
+        return [line("alpha", "none: the matrix looks transposed")], None
     if made.balanced:
-        return [("alpha", "none: the matrix is balanced as commanded")], None
+        return [line("alpha", "none: the matrix is balanced as commanded")], None
     try:
         with busy("calibrating"):
             found = calibrate(made.matrix, "ml")
     except TrueNewtonError as error:
-        return [("alpha", f"none: {error.fault}; {error.remedy}".rstrip("; "))], None
-    rows = summary_rows(found)
-    lines = [
-        (what, f"{value}, {note}")
-        for what, (_, value, note) in zip(("alpha", "error", "scale"), rows, strict=False)
-    ]
-    lines.append(("method", "ml; calibrate tries reciprocity too, which takes longer"))
-    lines.append(("verdict", str(found.verdict.level)))
-    return [*lines, *(("", line.strip()) for line in warning_lines(found.verdict.faults))], found
+        return [line("alpha", f"none: {error.fault}; {error.remedy}".rstrip("; "))], None
+    rows = zip(("alpha", "error", "scale"), summary_rows(found), strict=False)
+    lines = [line(what, f"{value}, {note}") for what, (_, value, note) in rows]
+    lines.append(line("method", "ml; calibrate tries reciprocity too, which takes longer"))
+    lines.append(line("verdict", str(found.verdict.level)))
+    return [*lines, *warning_lines(found.verdict.faults)], found

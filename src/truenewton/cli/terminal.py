@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from truenewton.errors import (
     located,
     printable,
 )
+from truenewton.rounding import WIDTH, counted, wrapped
 
 ERRORS_OF_DATA = FormatError, RankDeficient, TooManyOutliers, NotConverged, NotToBeUsed
 
@@ -45,26 +47,43 @@ def about(paths: Sequence[Path]) -> Iterator[None]:
         raise located(error, paths[0]) if len(paths) == 1 else error from None
 
 
+def tell(lines: Iterable[str], stream: TextIO | None = None) -> None:
+    """Print lines of text, wrapped to the terminal and to at most 100 columns."""
+    shown = stream or sys.stdout
+    columns = shutil.get_terminal_size().columns if shown and shown.isatty() else WIDTH
+    say(*wrapped(lines, min(columns, WIDTH)), stream=stream)
+
+
 def print_result(
     lines: Iterable[str],
     *written: Path | None,
+    details: Iterable[str] = (),
     values: Mapping[str, Any] | None = None,
     schema: str = "",
     quiet: bool = False,
+    verbose: bool = False,
+    then: str = "",
 ) -> None:
-    """Print lines and the files written (None: not written), or values as JSON instead.
+    """Print lines, the files written (None: not written) and the next command; or values as JSON.
 
-    With ``quiet``, print the files only. The JSON begins with the name of its schema and the
-    version, which changes if a key changes or is removed. Numbers that are not finite become null.
+    The ``details`` are printed if ``verbose``, otherwise how many there are. With ``quiet``, print
+    the files only. The JSON begins with the name of its schema and the version, which changes if a
+    key changes or is removed. Numbers that are not finite become null.
     """
     if values is not None:
         from truenewton.arrays import jsonable  # imports NumPy, which --help does not need
 
         print(json.dumps(jsonable({"schema": f"truenewton.{schema}/2", **values}), indent=2))
         return
-    say(*(() if quiet else lines), *(f"written: {path}" for path in filter(None, written)))
+    if not quiet:
+        tell(lines)
+        more = list(details)
+        tell(more if verbose or not more else [f"  {counted(more, 'more line')} with --verbose"])
+    say(*(f"written: {path}" for path in filter(None, written)))
     if None in written and not quiet:
         say("No file was written. To save the result, add -o FILE.")
+    if then and not quiet:
+        say(f"next: {then}")
 
 
 def schema_of(name: str, result: object) -> str:
@@ -118,7 +137,7 @@ class Bar:
     def say(self, line: str, stream: TextIO | None = None) -> None:
         """Print a line above the bar, or to a stream if no bar is drawn."""
         if self._drawn is None:
-            say(line, stream=stream)
+            tell([line], stream)
         else:
             self._drawn.console.print(printable(line), markup=False, highlight=False)
 

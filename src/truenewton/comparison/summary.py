@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.summary import row, verdict_lines
+from truenewton.calibration.summary import verdict_lines
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.compare import Comparison
 from truenewton.files.format import attributes, columns_by_name
-from truenewton.rounding import counted, named, percent, with_error
+from truenewton.rounding import counted, named, percent, row, with_error
 
 MAX_ROWS = 12  # of the table of actuators; the file contains all
 MAX_COUPLINGS = 5

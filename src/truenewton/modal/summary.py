@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.summary import row, warning_lines
+from truenewton.calibration.summary import warning_lines
 from truenewton.files.format import attributes
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import Summary, summary_of
-from truenewton.rounding import counted, percent, significant
+from truenewton.rounding import counted, percent, row, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns, at least
 NUMBERS = 8  # of modes, in the table

@@ -16,7 +16,10 @@ from truenewton.rounding import chance_text, percent, with_error
 
 def lines(made: Recalibration | Parts[Recalibration], calibration: AnyCalibration) -> Iterator[str]:
     """Yield the lines of the terminal: the calibration, and the actuators that changed."""
-    yield from summary_lines(calibration)
+    yield from summary_lines(calibration, _changes_of_all(made))
+
+
+def _changes_of_all(made: Recalibration | Parts[Recalibration]) -> Iterator[str]:
     for number, one in by_number(made).items():
         if number:
             yield f"segment {number}"

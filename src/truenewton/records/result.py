@@ -25,7 +25,7 @@ from truenewton.files.format import (
     value_of,
 )
 from truenewton.records.file import ENABLED, ID, NZ, X, Y
-from truenewton.rounding import html_table
+from truenewton.rounding import html_table, row, wrapped
 
 Part = TypeVar("Part")
 
@@ -83,8 +83,8 @@ class Summarised:
         summary = summary_of.dispatch(type(self._one))(self)
         if summary is None:
             return repr(self)
-        rows = [f"  {row[0]:<24}{row[1]:<36}{' '.join(row[2:])}".rstrip() for row in summary.rows]
-        return "\n".join([summary.headline, *rows, *summary.remarks])
+        rows = (row(*cells) for cells in summary.rows)
+        return "\n".join(wrapped([summary.headline, *rows, *summary.remarks]))
 
 
 class Result(Summarised):

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import datetime
-import itertools
 import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.summary import row
 from truenewton.files.format import attributes, columns_by_name
-from truenewton.records.parts import Parts, has_parts
+from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.records.result import Summary, summary_of
-from truenewton.rounding import chance_text, counted, numbered, with_error
+from truenewton.rounding import chance_text, counted, numbered, row, with_error
 from truenewton.tracking.law import ACTUATORS, DAYS, Tracking, Validity, validity_of
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
@@ -23,7 +21,6 @@ OUTLYING = {
     "drift": "drift {} sigma from the population",
     "line": "its days are {} sigma from a line",
 }
-MAX_ROWS, FIRST_ROWS = 60, 10  # of the table of actuators; of a longer one only the first
 
 
 def lines(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> Iterator[str]:
@@ -38,7 +35,6 @@ def lines(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> Itera
         yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {verdict}{day.name}"
     for name, value in summary_rows(t):
         yield row(name, value)
-    yield from _table(t)
     for remark in remarks(t):
         yield f"  {remark}"
     yield from _validity_lines(t, accuracy)
@@ -96,16 +92,17 @@ def remarks(tracking: Tracking) -> Iterator[str]:
         yield f"LIMIT: {limit}"
 
 
-def _table(t: Tracking) -> Iterator[str]:
-    yield f"  {'actuator':<10}{'alpha':<20}{'k [%/K]':<20}drift [%/yr]"
-    shown = FIRST_ROWS if t.layout.n > MAX_ROWS else t.layout.n
-    columns = (t.layout.id, t.alpha, t.coefficient, t.drift, *t.errors)
-    for name, a, k, d, ea, ek, ed in itertools.islice(zip(*columns, strict=True), shown):
-        coefficient = with_error(100 * k, 100 * ek) if "temperature" in t.effects else "-"
-        drift = with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-"
-        yield f"  {name!s:<10}{with_error(a, ea):<20}{coefficient:<20}{drift}"
-    if shown < t.layout.n:
-        yield f"  and {counted(t.layout.n - shown, 'actuator')} more"
+def table_of(tracking: Tracking | Parts[Tracking]) -> Iterator[str]:
+    """Yield the table of the actuators, segment by segment."""
+    for number, t in by_number(tracking).items():
+        if number:
+            yield f"segment {number}"
+        yield f"  {'actuator':<10}{'alpha':<20}{'k [%/K]':<20}drift [%/yr]"
+        columns = (t.layout.id, t.alpha, t.coefficient, t.drift, *t.errors)
+        for name, a, k, d, ea, ek, ed in zip(*columns, strict=True):
+            coefficient = with_error(100 * k, 100 * ek) if "temperature" in t.effects else "-"
+            drift = with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-"
+            yield f"  {name!s:<10}{with_error(a, ea):<20}{coefficient:<20}{drift}"
 
 
 def _validity_lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]:

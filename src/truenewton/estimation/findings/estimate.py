@@ -46,14 +46,16 @@ class Diagnosis:
     leverage: tuple[float, ...] = ()
     # Number of elastic directions in which the shapes exceed the noise; -1 if not computed.
     span: int = -1
+    # Ratio of the second singular value to the first: how unique alpha is.
+    separation: float = float("nan")
 
-    @property
-    def separation(self) -> float:
-        """Ratio of the second singular value to the first: how unique alpha is."""
-        if len(self.eigenvalues) < 2:
-            return float("nan")
-        rounding = np.finfo(float).eps * self.eigenvalues[-1]
-        return float(np.sqrt(self.eigenvalues[1] / max(self.eigenvalues[0], rounding)))
+
+def separation_of(eigenvalues: Array) -> float:
+    """Return the ratio of the second singular value to the first, of ascending eigenvalues."""
+    if len(eigenvalues) < 2:
+        return float("nan")
+    rounding = np.finfo(float).eps * eigenvalues[-1]
+    return float(np.sqrt(eigenvalues[1] / max(eigenvalues[0], rounding)))
 
 
 @dataclass(frozen=True)

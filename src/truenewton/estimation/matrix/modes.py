@@ -17,7 +17,7 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import Diagnosis, Estimate, Scale
+from truenewton.estimation.findings.estimate import Diagnosis, Estimate, Scale, separation_of
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import (
     DataSet,
@@ -236,6 +236,7 @@ def fit_balance(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
                 raise error.changed(fault=effect.name, remedy=effect.remedy) from None
         raise
     n, singular_values = len(fitted.alpha), fitted.singular_values
+    eigenvalues = singular_values**2
     of_file = [*_unit_warnings(facts)]
     if facts.looks_transposed and not any(
         effect.code == Code.TRANSPOSED_STIFFNESS for effect in screened.effects
@@ -251,7 +252,9 @@ def fit_balance(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
         noise=float("nan"),
         condition=float(singular_values[-1] / singular_values[1]),
         rank=n - 1,
-        diagnosis=Diagnosis(eigenvalues=tuple((singular_values**2).tolist()), warnings=warnings),
+        diagnosis=Diagnosis(
+            tuple(eigenvalues.tolist()), warnings=warnings, separation=separation_of(eigenvalues)
+        ),
         effects=(*_not_as_agreed(facts), *screened.effects),
     )
 

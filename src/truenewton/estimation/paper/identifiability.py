@@ -22,7 +22,7 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import Fault, RankDeficient
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import Diagnosis
+from truenewton.estimation.findings.estimate import Diagnosis, separation_of
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.paper.equations import imbalance_covariance
 from truenewton.estimation.readings.moments import Moments
@@ -98,7 +98,8 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
             f" or dependent: {free} pattern{'s' if free > 1 else ''} of alpha left to noise"
         )
         faults += (Fault(fault, f"apply {n} independent shapes, larger or more often"),)
-    return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span)
+    unique = separation_of(eigenvalues)
+    return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span, separation=unique)
 
 
 def structural_faults(campaign: Campaign, moments: Moments) -> tuple[Fault | Finding, ...]:
