@@ -107,7 +107,7 @@ def test_scatter_of_days_names_nobody_and_is_told():
     said = " ".join(lines(found[0], None))
     assert "scatter of days" in said
     assert "(3 degrees of freedom)" in said
-    assert "LIMIT: " not in said
+    assert "limit: " not in said
 
 
 @pytest.mark.study

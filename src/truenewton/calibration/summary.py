@@ -207,7 +207,7 @@ def _results(c: Calibration) -> Iterator[Row]:
         judged = np.isfinite(fit.reduced)
         yield "fit", f"chi2/DOF = {fit.reduced:.3g}" if judged else "cannot be judged", note
     if np.isfinite(c.diagnosis.separation):
-        note = "imbalance of the second-best solution relative to the best (1: not unique)"
+        note = "second-best imbalance / best (1: not unique)"
         yield "uniqueness", f"{c.diagnosis.separation:.3g}", note
 
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from truenewton.calibration.summary import as_sentences
+from truenewton.errors import Fault
 from truenewton.files.format import attributes, columns_by_name
 from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.records.result import Summary, summary_of
@@ -85,11 +87,11 @@ def remarks(tracking: Tracking) -> Iterator[str]:
         yield "no outliers (false alarms on at most 1 % of mirrors)"
     if t.probability < 1e-3:
         yield (
-            "WARNING: the days do not lie on lines within their errors. Look at the figures, and"
+            "warning: The days do not lie on lines within their errors. Look at the figures, and"
             " for other changes between the days."
         )
     for limit in t.limits:
-        yield f"LIMIT: {limit}"
+        yield f"limit: {as_sentences(Fault(limit, ''))}"
 
 
 def table_of(tracking: Tracking | Parts[Tracking]) -> Iterator[str]:
