@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import truenewton as tn
-from studies.comparison import LAWS, pair
+from studies.comparison import LAWS, SCATTER, pair
 from studies.matrices import measured_or_made, true_stiffness
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.findings.code import Code, Level
@@ -47,6 +47,14 @@ def test_without_a_change_none_is_named():
     assert c.couplings == ()
     mean = np.exp(np.log(RATIOS).mean(axis=1).sum())
     assert abs(c.common - mean) < 4 * c.common_error
+
+
+def test_two_changes_of_six_times_the_scatter_do_not_hide_each_other():
+    def change(k):
+        k[[3, 30]] *= (RATIOS[0, [3, 30]] / (1.0 - 6 * SCATTER[0]))[:, None]
+
+    c = tn.compare(OLD, with_elements(change))
+    assert [*np.flatnonzero(c.alpha_changed)] == [3, 30]
 
 
 def test_other_order_and_a_missing_actuator_change_nothing():

@@ -263,17 +263,23 @@ def _changed(values: Array, signs: Array, covariance: Array) -> Deviations:
     variance = np.diag(covariance) - 2.0 * covariance.mean(axis=0) + covariance.mean()
     usual = np.sign(np.median(signs))
     far = np.abs(values - np.median(values))
-    changed = (signs != usual) | (far > 10.0 * np.median(far))
+    changed = (signs != usual) | (far > 3.0 * np.median(far))
     for _ in range(MAX_NAMING_PASSES):
-        others = values[~changed]
-        scatter = max(0.0, float(others.var(ddof=1) - variance[~changed].mean()))
-        sigmas = np.abs(values - others.mean()) / np.sqrt(variance + scatter)
-        limit = t_isf(FALSE_ALARM / 4 / n, len(others) - 1)  # two sides, rows and columns
-        now = (signs != usual) | (sigmas > limit)
+        # Each against the others without it, whose scatter it would inflate.
+        kept = ~changed
+        others = np.count_nonzero(kept) - kept
+        centred = values - values[kept].mean()
+        mean = np.where(kept, -centred, 0.0) / others
+        squares = (centred[kept] ** 2).sum() - kept * centred**2 - others * mean**2
+        scatter = np.maximum(0.0, squares / (others - 1) - variance[kept].mean())
+        sigmas = np.abs(centred - mean) / np.sqrt((variance + scatter) * (1.0 + 1.0 / others))
+        # Half of the false alarms are left to couplings; two sides, rows and columns.
+        now = (signs != usual) | (sigmas > t_isf(FALSE_ALARM / 8 / n, others - 1))
         if (now == changed).all():
             break
         changed = now
-    return Deviations(np.asarray(changed), math.sqrt(scatter))
+    excess = float(values[~changed].var(ddof=1) - variance[~changed].mean())
+    return Deviations(np.asarray(changed), math.sqrt(max(0.0, excess)))
 
 
 def _refuse_processed(pair: Pair) -> None:

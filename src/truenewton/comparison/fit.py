@@ -313,7 +313,7 @@ def fit_pair(one: Array, other: Array, inflation: Array) -> PairFit:
     fit = min(fits, key=lambda fit: fit.cost)
     while True:
         sizes, errors = fit.noise.innovations(fit.unchanged)
-        far = np.abs(sizes) > errors * normal_isf(FALSE_ALARM / 2 / one.size)
+        far = np.abs(sizes) > errors * normal_isf(FALSE_ALARM / 4 / one.size)
         far[tuple(fit.couplings.T)] = False
         couplings = np.concatenate([fit.couplings, np.argwhere(far)])
         if not far.any() or len(couplings) > MAX_CHANGED_COUPLINGS * one.size:
