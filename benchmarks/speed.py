@@ -40,7 +40,7 @@ from truenewton.estimation.effects.examination import ExaminedFit
 from truenewton.estimation.paper import svd
 from truenewton.estimation.paper.equations import system_e
 from truenewton.estimation.paper.svd import CycleErrors
-from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.readings.repeats import read_rows
 from truenewton.linalg import ROWS_AT_ONCE, mirrored
 from truenewton.statics.arms import arms, enabled_arms
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.truth import Truth
-from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.modal.findings import ModalFindings, compare_modes
 from truenewton.modal.measured_stiffness import motion_reader

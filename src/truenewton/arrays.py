@@ -46,9 +46,10 @@ def freeze(record: object, *names: str, dtype: Any = np.float64) -> None:
     """
     for name in names:
         given = getattr(record, name)
-        if (unit := unit_of(given)) is not None:
+        plain = type(given) is np.ndarray  # which has neither a unit nor a mask
+        if not plain and (unit := unit_of(given)) is not None:
             raise other_unit(name, str(unit), "")
-        if mask_of(given) is not None:
+        if not plain and mask_of(given) is not None:
             raise FormatError(f"{name.upper()} is masked", remedy="give all of it, or leave it out")
         values = _as_array(given, dtype, name)
         if values is not given or values.flags.writeable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,19 +67,17 @@ def singular_values_and_vectors(matrix: NDArray[np.floating[Any]]) -> tuple[Arra
 
 
 def smallest_eigenvalue(
-    times: Callable[[Array], Array],
-    n: int,
-    nearly_solved: Callable[[Array], Array] = lambda residual: residual,
+    matrix: Array, inverse: Array | None = None, unit: Array | float = 1.0, *, sign: float = 1.0
 ) -> tuple[float, Array]:
     """Return the smallest eigenvalue of a symmetric (n, n) matrix, to 1e-3, and its vector.
 
-    ``times`` multiplies vectors, or the columns of a matrix, by the matrix; ``nearly_solved``
-    multiplies vectors by about the inverse, up to a factor. Davidson's method (J. Comput. Phys. 17,
-    87, 1975; without an approximate inverse, Lanczos): the residual of the best vector, times about
-    the inverse, extends the space that is searched. It stops when the residual is below 1e-3 of the
-    eigenvalue; the error is its square for the smallest eigenvalue. A full decomposition would cost
-    more than a calibration.
+    ``inverse`` is about that of the matrix, except for a factor, in (n,) other units. ``sign`` -1:
+    of minus the matrix. Davidson's method (J. Comput. Phys. 17, 87, 1975; without an inverse,
+    Lanczos): the residual of the best vector, times the inverse, extends the space that is
+    searched. It stops when the residual is below 1e-3 of the eigenvalue; the error is its square
+    for the smallest eigenvalue. A full decomposition would cost more than a calibration.
     """
+    n = len(matrix)
     most = min(n, MOST_STEPS)
     basis, images = np.empty((most, n)), np.empty((most, n))
     new = np.random.default_rng(n).standard_normal(n)
@@ -87,20 +85,20 @@ def smallest_eigenvalue(
         for _ in range(2):  # once leaves too much of what is in the space already
             new -= (basis[:k] @ new) @ basis[:k]
         basis[k] = new / np.linalg.norm(new)
-        images[k] = times(basis[k])
+        images[k] = sign * (matrix @ basis[k])
         values, vectors = np.linalg.eigh(basis[: k + 1] @ images[: k + 1].T)
         vector = vectors[:, 0] @ basis[: k + 1]
         residual = vectors[:, 0] @ images[: k + 1] - values[0] * vector
         if np.linalg.norm(residual) <= CLOSE * abs(values[0]):
             return float(values[0]), vector
-        new = nearly_solved(residual)
-    values, vectors = scipy.linalg.eigh(times(np.eye(n)), subset_by_index=[0, 0])
+        new = residual if inverse is None else inverse @ (residual / unit) / unit
+    values, vectors = scipy.linalg.eigh(sign * (matrix @ np.eye(n)), subset_by_index=[0, 0])
     return float(values[0]), vectors[:, 0]
 
 
 def largest_eigenvalue(matrix: Array) -> tuple[float, Array]:
     """Return the largest eigenvalue of an (n, n) symmetric matrix, to 1e-3, and its vector."""
-    value, vector = smallest_eigenvalue(lambda x: -(matrix @ x), len(matrix))
+    value, vector = smallest_eigenvalue(matrix, sign=-1.0)
     return -value, vector
 
 

@@ -19,7 +19,7 @@ from truenewton.errors import UnreadableFile
 from truenewton.estimation.paper.equations import system_c
 from truenewton.estimation.paper.svd import CycleErrors, from_rows
 from truenewton.estimation.readings import repeats
-from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows
 from truenewton.files.stored_rows import StoredRows

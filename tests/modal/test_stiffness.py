@@ -18,7 +18,7 @@ from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, Unkn
 from truenewton.estimation.findings.estimate import Sensor
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.readings import repeats
-from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sensors_at
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows

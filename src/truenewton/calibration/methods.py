@@ -37,7 +37,7 @@ from truenewton.estimation.paper import svd as paper_svd
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.paper.svd import CycleErrors
-from truenewton.estimation.readings.row_readers import RowReader
+from truenewton.estimation.readings.repeats import RowReader
 from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.acceptance import advising_ml, doubts, failed, instead

@@ -27,10 +27,8 @@ from truenewton.estimation.effects.examination import (
     chi2_probability,
     examined,
     misfit_findings,
-    warmer_loads,
-)
-from truenewton.estimation.effects.undetectable import (
     unseen_errors,
+    warmer_loads,
     with_magnets_unsure,
     with_positions_unsure,
 )
@@ -338,7 +336,5 @@ def condition(campaign: Campaign, moments: Moments, reading_covariance: Array) -
     unit = np.ones(len(gram))
     for axis in (1, 2):
         unit[a.shape[1] + axis :: 2] = np.sqrt(np.mean(enabled_arms(campaign.layout)[axis] ** 2))
-    smallest, _ = smallest_eigenvalue(
-        lambda x: gram @ x, len(gram), lambda x: reading_covariance @ (x / unit) / unit
-    )
+    smallest, _ = smallest_eigenvalue(gram, reading_covariance, unit)
     return float(np.sqrt(largest_eigenvalue(gram)[0] / max(smallest, 1e-300)))

@@ -19,11 +19,10 @@ BLOCK_BYTES = 2**24  # of the rows that are taken at once
 MAX_STRIDE = 4  # times a column's own width; beyond it the rest of a row is skipped, not read
 
 
-def blocks(rows: int, row_bytes: int) -> Iterator[slice]:
+def blocks(rows: int, row_bytes: int) -> list[slice]:
     """Cut rows into slices of `BLOCK_BYTES` at most, of one row at least."""
     step = max(1, BLOCK_BYTES // max(row_bytes, 1))
-    for start in range(0, rows, step):
-        yield slice(start, min(start + step, rows))
+    return [slice(start, min(start + step, rows)) for start in range(0, rows, step)]
 
 
 def runs(rows: NDArray[np.int64]) -> Iterator[slice]:

@@ -36,7 +36,7 @@ from truenewton.errors import CampaignMismatch, Fault, FormatError, RankDeficien
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
-from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.modal.measured_stiffness import (
     MeasuredStiffness,

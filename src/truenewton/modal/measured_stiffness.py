@@ -29,7 +29,7 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.checks import refusal_naming
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.readings.row_readers import RowBlock, read_rows
+from truenewton.estimation.readings.repeats import RowBlock, read_rows
 from truenewton.estimation.readings.rows import distinct, row_groups, row_weights
 from truenewton.estimation.screening.screen import ScreenedCampaign, frozen_sensors, screen_campaign
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows

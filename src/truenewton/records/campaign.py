@@ -205,7 +205,7 @@ class Campaign:
     def __iter__(self) -> Iterator[Cycle]:
         return iter(self.cycles)
 
-    @property
+    @cached_property
     def layout(self) -> Layout:
         """The actuators."""
         return self.cycles[0].layout
@@ -236,7 +236,7 @@ class Campaign:
         keys = [load.key for load in self.loads]
         return tuple(keys.index(cycle.load.key) for cycle in self.cycles)
 
-    @property
+    @cached_property
     def effective_weights(self) -> Array:
         """W = (P + Q) cos(tilt) of each load [N]."""
         return effective_weight(

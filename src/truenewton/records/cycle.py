@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -356,8 +355,8 @@ class Cycle:
         chosen = values[rows if self._counting is None else self._counting[rows]]
         return chosen if self.layout.enabled.all() else chosen[:, self.layout.enabled]
 
-    def used_blocks(self) -> Iterator[slice]:
-        """Yield the blocks in which valid rows are read."""
+    def used_blocks(self) -> list[slice]:
+        """Return the blocks in which valid rows are read."""
         return blocks(int(self.valid.sum()), 8 * self.layout.n)
 
     @property
@@ -371,22 +370,22 @@ class Cycle:
         code = self.sign[self.valid] * self.shape[self.valid]
         return np.isin(-code, code)
 
-    @property
+    @cached_property
     def has_opposites(self) -> bool:
         """Whether a shape is measured with both signs, so that their mean is the mirror at rest."""
         return bool(self._paired.any())
 
-    @property
+    @cached_property
     def paired_rows(self) -> NDArray[np.bool_]:
         """(N_valid,) true for the rows whose mean is the mirror at rest; or for all rows."""
         return self._paired if self.has_opposites else np.ones_like(self._paired)
 
-    @property
+    @cached_property
     def rest_position(self) -> Array:
         """(n_enabled,) mean reading of each sensor over ``paired_rows`` [m]; 0 without POSITION."""
         return self._rest_and_stroke[0]
 
-    @property
+    @cached_property
     def stroke(self) -> Array:
         """(n_enabled,) rms of the readings about ``rest_position`` [m]; 0 without POSITION."""
         return self._rest_and_stroke[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -138,7 +139,7 @@ class Layout:
         pieces = f" of {len(self.segments)} segments" if self.segments else ""
         return f"<Layout of {self.n} actuators{pieces}{off}>"
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of actuators, disabled ones included."""
         return int(np.size(self.id))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 from truenewton.errors import FormatError
@@ -92,7 +93,7 @@ class Load:
         except FormatError as error:
             raise error.changed(fault=f"load '{self.name}': {error.fault}") from None
 
-    @property
+    @cached_property
     def key(self) -> str:
         """The name as it is compared."""
         return self.name.strip().casefold()

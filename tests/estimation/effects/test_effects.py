@@ -14,11 +14,21 @@ from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.chance import OF_EACH_KIND
-from truenewton.estimation.effects import score_test
 from truenewton.estimation.effects.catalogue import CATALOGUE
-from truenewton.estimation.effects.derivative import FittedRows, scored, variance_at_least
-from truenewton.estimation.effects.examination import chi2_probability, correction
-from truenewton.estimation.effects.score_test import unknown_force
+from truenewton.estimation.effects.correction import (
+    correction,
+    effect_tests,
+    significant,
+    unknown_force,
+)
+from truenewton.estimation.effects.derivative import (
+    FittedRows,
+    log_chance,
+    scored,
+    surely_sound,
+    variance_at_least,
+)
+from truenewton.estimation.effects.examination import chi2_probability
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
 from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
@@ -225,7 +235,7 @@ def test_clean_campaigns_score_as_chance_says(count, noise, order, error):
     p = {name: [] for name in NAMES}
     for seed in range(count):
         campaign = SmallBench([seed, 5], noise, order=order).campaign()
-        for test in score_test.tests(fit_of(changed(campaign, force_error=error), pooled=True)):
+        for test in effect_tests(fit_of(changed(campaign, force_error=error), pooled=True)):
             p[test.effect.name].append(np.exp(test.log_probability))
     for name, found in p.items():
         if not found:
@@ -245,11 +255,11 @@ def test_clean_campaigns_score_as_chance_says(count, noise, order, error):
 def test_the_chance_of_a_chi2_is_told_however_small():
     for chi2, freedom in ((3.0, 1.0), (80.0, 20.0)):
         exact = scipy.stats.chi2.logsf(chi2, freedom)
-        assert score_test.log_chance(chi2, freedom) == pytest.approx(exact)
-    far = score_test.log_chance(1e7, 3.0)
+        assert log_chance(chi2, freedom) == pytest.approx(exact)
+    far = log_chance(1e7, 3.0)
     assert np.isfinite(far)
     assert far == pytest.approx(-5e6, rel=1e-4)
-    assert far < score_test.log_chance(9e6, 3.0)
+    assert far < log_chance(9e6, 3.0)
 
 
 @pytest.mark.parametrize("drift", [0.0, 2e-2])
@@ -266,12 +276,14 @@ def test_the_same_is_named_as_by_whole_tests(drift):
         date=lambda k, c: c.date + datetime.timedelta(hours=k),
     )
     fit = fit_of(drifting, pooled=True)
-    found = score_test.tests(fit)
+    found = effect_tests(fit)
     limit = np.log(1.0 - (1.0 - OF_EACH_KIND) ** (1.0 / len(found)))
     expected = [(t.effect.name, t.log_probability) for t in found if t.log_probability < limit]
-    assert [(t.effect.name, t.log_probability) for t in score_test.named(fit)] == expected
+    assert [
+        (t.effect.name, t.log_probability) for t in significant(effect_tests(fit, bounded=True))
+    ] == expected
     assert bool(expected) == bool(drift)
-    passed = [t for t in found if score_test.surely_sound(fit, t.derivative)]
+    passed = [t for t in found if surely_sound(fit, t.derivative, 1e-6)]
     assert len(passed) >= 2
     assert all(t.log_probability > np.log(OF_EACH_KIND) for t in passed)
 
@@ -459,10 +471,10 @@ def test_an_effect_that_the_data_are_blind_to_is_not_tested():
     """The weight of a load under two loads; positions never; gradients without POSITION."""
     bench = SmallBench(9, SIGMA)
     bench.has_position = False
-    tested = {test.effect.name for test in score_test.tests(fit_of(bench.campaign()))}
+    tested = {test.effect.name for test in effect_tests(fit_of(bench.campaign()))}
     assert tested == set(NAMES) - SINGLE - {"coil gradient", "bias gradient", "weight of a load"}
     one = changed(bench.campaign(), valid=lambda _, c: c.sign > 0)
-    tested = {test.effect.name for test in score_test.tests(fit_of(one))}
+    tested = {test.effect.name for test in effect_tests(fit_of(one))}
     assert not any("contact" in name for name in tested)
 
 
@@ -655,6 +667,6 @@ def test_files_of_the_same_time_have_hours_all_the_same():
     campaign = changed(bench.campaign(), date=date)
     assert not calibrate(campaign).effects
     still = changed(campaign, time=np.zeros(28))
-    tested = {test.effect.name for test in score_test.tests(fit_of(still))}
+    tested = {test.effect.name for test in effect_tests(fit_of(still))}
     assert not any("hour" in name for name in tested)
     assert not calibrate(still).effects

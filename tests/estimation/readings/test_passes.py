@@ -5,7 +5,7 @@ import pytest
 from helpers.balanced import campaign_of, changed, with_spike
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.readings import repeats
+from truenewton.estimation.readings import rows as rows_of_groups
 from truenewton.estimation.readings.rows import BalancedRows
 from truenewton.mirrors.known import p45
 from truenewton.modal.findings import find_modes
@@ -55,7 +55,7 @@ def test_rows_of_a_sound_campaign_are_read_twice_whatever_is_asked(campaign, pas
 
 
 def test_of_rows_left_out_only_the_blocks_are_read_again(passes, monkeypatch):
-    monkeypatch.setattr(repeats, "ROWS_AT_ONCE", 4)  # of 56 groups
+    monkeypatch.setattr(rows_of_groups, "ROWS_AT_ONCE", 4)  # of 56 groups
     sound, _ = campaign_of(seed=3, noise=1e-4, cycles=4)
     campaign = with_spike(sound, 2, 9, 5, 0.05)
     [row] = calibrate(campaign).rejected_rows

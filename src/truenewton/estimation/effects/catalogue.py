@@ -127,7 +127,7 @@ FIELDS: dict[str, Callable[[FittedRows], Field]] = {
 }
 
 
-def sum_fields(fit: FittedRows, names: Sequence[str]) -> None:
+def _sum_fields(fit: FittedRows, names: Sequence[str]) -> None:
     """Sum fields that several effects share, in one pass over the readings."""
     sums = field_sums(fit, [FIELDS[name](fit) for name in names])
     fit.found.update(zip(names, sums, strict=True))
@@ -135,7 +135,7 @@ def sum_fields(fit: FittedRows, names: Sequence[str]) -> None:
 
 def _sums(fit: FittedRows, name: str) -> FieldSums:
     if name not in fit.found:
-        sum_fields(fit, [name])
+        _sum_fields(fit, [name])
     found: FieldSums = fit.found[name]
     return found
 
@@ -357,3 +357,11 @@ CATALOGUE: tuple[Effect, ...] = (
            "load"),
     POSITIONS,
 )  # fmt: skip
+
+
+def derivatives(fit: FittedRows) -> list[tuple[Effect, Derivative]]:
+    """Return the effects on which the data may contain information, and their derivatives."""
+    displaced = fit.moments.displacement is not None
+    _sum_fields(fit, [name for name in FIELDS if displaced or name != "displacement"])
+    pairs = ((effect, effect.derivative(fit)) for effect in CATALOGUE)
+    return [(effect, each) for effect, each in pairs if each is not None and each.count]

@@ -6,17 +6,20 @@ over loads and signs fit afterwards. Of similarly likely effects the one with th
 is taken. If no correction makes the data fit, none is taken out, and the errors grow with the
 misfit.
 
-The parameters theta of an effect are unknowns with a normal prior about 0 of spread tau. At every
-theta the data without the effect are fitted as usual (`Derivative.remove`), and theta takes a
-Newton step with its score and information, all else being free. The data determine tau (MacKay
-1992, Neural Computation 4, 415): with C the covariance of theta,
+Under two loads the sums of the forces at rest are two equations for two unknowns, the common scale
+and B, and no test is possible (docs/effects.md). An effect of parameters theta, of usual size s,
+moves alpha by -B' theta, and the common scale by -(B v)' theta, with v the direction of a common
+factor and B as of any effect (`derivative`). The information in the data reduces this to
 
-    tau^2 <- sum theta^2 / nu,        nu = sum (1 - C_ii / tau^2).
+    (B v)' C (B v),        C = (H_tt - H_te H^-1 H_et + 1 / s^2)^-1,
+
+which is negligible if they determine the effect, as three loads do. Magnets whose positions have a
+declared uncertainty (columns E_X and E_Y) add to the covariance in the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,18 +29,35 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chi2_cdf, chi2_sf, f_sf
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.effects.catalogue import LOAD_REPOSITIONED, ZEROS_OF_EACH, Effect
-from truenewton.estimation.effects.derivative import FittedRows, scored
-from truenewton.estimation.effects.score_test import (
+from truenewton.estimation.effects.catalogue import (
+    LOAD_REPOSITIONED,
+    POSITIONS,
+    ZEROS_OF_EACH,
+    on_balance,
+    parts_of_positions,
+)
+from truenewton.estimation.effects.correction import (
+    Correction,
     EffectTest,
     UnknownForce,
     beside_shared_noise,
+    correction,
     disturbed,
-    named,
+    effect_tests,
+    significant,
     unknown_force,
+    with_error,
 )
+from truenewton.estimation.effects.derivative import Derivative, FittedRows, Some, scored
+from truenewton.estimation.effects.fields import Field, derivative_of, field_sums
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import ErrorKind, NoiseSource, ScaleError
+from truenewton.estimation.findings.estimate import (
+    MAGNET_COEFFICIENT,
+    NEGLIGIBLE_SCALE_ERROR,
+    ErrorKind,
+    ScaleError,
+    UnseenError,
+)
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
@@ -46,7 +66,6 @@ from truenewton.estimation.screening.noise import (
     MIN_FIT_PROBABILITY,
     Noise,
     Structure,
-    reading_noise,
     structure_of,
 )
 from truenewton.records.campaign import Campaign, load_temperatures
@@ -92,22 +111,22 @@ class ExaminedFit:
         """The rows at the fit, whose readings are independent."""
         return FittedRows(self.problem, self.moments, self.minimum, independent=True)
 
-    @property
+    @cached_property
     def freedom(self) -> float:
         """Degrees of freedom of the balance."""
         return self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
 
-    @property
+    @cached_property
     def probability(self) -> float:
         """Chance of a larger chi^2 of the balance."""
         return chi2_probability(self.minimum.chi2, self.freedom, self.problem.noise)
 
-    @property
+    @cached_property
     def too_well(self) -> bool:
         """Whether the shapes balance better than expected of their noise."""
         return self.freedom > 0 and self.probability > 1.0 - MIN_FIT_PROBABILITY
 
-    @property
+    @cached_property
     def fits(self) -> bool:
         """Whether both the balance and the repetition of shapes fit."""
         repeated = self.structure is None or self.structure.probability > MIN_FIT_PROBABILITY
@@ -117,7 +136,7 @@ class ExaminedFit:
             and (self.correlated or not self.too_well)
         )
 
-    @property
+    @cached_property
     def excess(self) -> float:
         """Ratio of the residual variance to that of the noise, at least 1."""
         balance = self.minimum.chi2 / max(self.freedom, 1.0)
@@ -249,7 +268,7 @@ def _corrected(
         fit = now.rows
         if not independent:
             fit = FittedRows(now.problem, now.moments, now.minimum, independent)
-        found = named(fit)
+        found = significant(effect_tests(fit, bounded=True))
         shared = within and not now.effects  # noise, or such an effect
         if shared:
             found = beside_shared_noise(found, fit, samples)
@@ -439,83 +458,122 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
     )
 
 
-# -- an effect taken out ---------------------------------------------------------------------------
+# -- effects that the data cannot show -------------------------------------------------------------
+
+MIN_REMAINING_SIZE = 0.1  # of the usual size, below which the data determine an effect
 
 
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """Data without an effect, and the fit to them.
-
-    Attributes
-    ----------
-    theta, covariance, effective_parameters
-        (k,) its parameters, their (k, k) covariance, and nu.
-    problem, moments, minimum
-        The data without it and their fit, whose covariance includes the error of the effect.
-    """
-
-    theta: Array
-    covariance: Array
-    effective_parameters: float
-    problem: Problem
-    moments: Moments
-    minimum: Minimum
-
-
-def correction(fit: FittedRows, effect: Effect) -> Correction | None:
-    """Estimate an effect together with alpha; None if it does not converge, or is too large."""
-    first = effect.derivative(fit)
-    # A matrix of 10,000 parameters takes 0.8 GB, and several are needed.
-    if first is None or first.count > 10_000:
+def static_gain(fit: FittedRows) -> Derivative | None:
+    """Return coil gains that differ by 1 % between elastic forces and those at rest."""
+    if fit.problem.n > 2000:  # with a parameter of each coil, more do not fit into memory
         return None
-    result, theta = scored(fit, first), np.zeros(first.count)
-    # A first spread from the score itself: U U' = V of the effect, on the average.
-    size = np.trace(result.variance) / np.sum(result.variance**2)
-    tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
-    at, derivative, settled = fit, first, False
-    for _ in range(30):
-        information = result.information + np.eye(len(theta)) / tau2
-        try:  # an effect without any size does not converge
-            factor = scipy.linalg.cho_factor(0.5 * (information + information.T))
-        except np.linalg.LinAlgError:
-            return None
-        inverse = scipy.linalg.cho_solve(factor, np.eye(len(theta)))
-        uphill = result.score + theta / tau2
-        effective_parameters = float(np.sum(1.0 - np.diag(inverse) / tau2))
-        # Theta has converged if its step is below 0.01 standard errors.
-        if settled and float(uphill @ inverse @ uphill) < 1e-4:
-            minimum = with_error(at.minimum, result.moves, inverse)
-            return Correction(theta, inverse, effective_parameters, at.problem, at.moments, minimum)
-        theta = theta - inverse @ uphill
-        before, tau2 = tau2, max(float(theta @ theta) / max(effective_parameters, 1e-3), 1e-300)
-        settled = abs(np.log(before / tau2)) < 1e-2
-        problem, moments = derivative.remove(fit.problem, fit.moments, theta)
-        problem = _with_new_noise(problem, moments)
+    moments = fit.moments
+    of_load = moments.of_load * moments.weight[:, None]
+    share = (of_load / of_load.sum(axis=0)).T
+
+    def elastic(_: Some, fitted: Array) -> Array:
+        return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
+
+    sums = field_sums(fit, [Field(elastic, moments.weight[None], each=1)])
+    return derivative_of(fit, sums[0], each=True)
+
+
+def supported(fit: FittedRows) -> Derivative:
+    """Return a support of 5 mN of each load but the first."""
+    return on_balance(fit, 5e-3 * _up(fit))
+
+
+def warmer_magnets(fit: FittedRows) -> Derivative | None:
+    """Return bias magnets, two each, that are 1 K warmer under each load but the first."""
+    if np.isfinite(load_temperatures(fit.problem.campaign)).all():
+        return None  # E_SYST has it
+    bias = float(fit.minimum.values[fit.problem.unknowns.bias])
+    return on_balance(fit, 2 * MAGNET_COEFFICIENT * bias * _up(fit))
+
+
+def with_magnets_unsure(left: ExaminedFit) -> Minimum:
+    """Return the minimum with the error that bias magnets have if coils lose force by warming.
+
+    Coils that lose theta under a load may be warmer by theta / `MAGNET_COEFFICIENT`. Then the bias
+    magnets are warmer too, which only TEMPERATURE would show.
+    """
+    minimum = left.minimum
+    lost = [e.size for e in left.effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
+    derivative = warmer_magnets(left.rows) if lost else None
+    if derivative is None:
+        return minimum
+    warmer = (lost[0] / MAGNET_COEFFICIENT) ** 2 * np.eye(derivative.count)
+    return with_error(minimum, scored(left.rows, derivative).moves, warmer)
+
+
+def zero_by_load(fit: FittedRows) -> Derivative:
+    """Return a shift of the zero of all readings under each load but the first."""
+    size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
+    rows = (fit.moments.of_load * fit.moments.weight[:, None]).T[1:]
+    field = Field(lambda *_: np.full((len(fit.moments.mean), 1), size), rows)
+    return derivative_of(fit, field_sums(fit, [field])[0], slice(0, len(rows)))
+
+
+def _up(fit: FittedRows) -> Array:
+    """(g, 3, L - 1) a force of 1 N in the balance under each load but the first."""
+    return np.eye(3)[None, :, :1] * fit.moments.of_load[:, None, 1:]
+
+
+# The derivative by each effect in units of its usual size; None if the error budget contains it.
+UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
+    "5 mN of an added weight rests on something else": supported,
+    "all force zeros shift under a load by 10 % of the noise of a reading": zero_by_load,
+    "the bias magnets are 1 K warmer under a load": warmer_magnets,
+    "coil gains differ by 1 % between static and elastic forces": static_gain,
+}
+
+
+def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
+    """Return the influence of undetectable effects on the common scale, the largest first."""
+    found = list[UnseenError]()
+    fit = left.rows
+    # Of a relative change of all: alpha -> alpha (1 + e).
+    direction = fit.alpha / (fit.alpha @ fit.alpha)
+    for name, derivative_at in UNDETECTABLE_EFFECTS.items():
+        derivative = derivative_at(fit)
+        if derivative is None:
+            continue
+        result = scored(fit, derivative)
+        along = result.moves_along(direction)
+        information = result.information + np.eye(len(along))  # in units of 1 / s^2
         try:
-            minimum = problem.fitted(moments, at.minimum.values)
-        except (NotConverged, RankDeficient):
-            return None
-        removed = fit.removed + fit.moments.mean - moments.mean
-        at = FittedRows(problem, moments, minimum, fit.independent, removed, first.actuators)
-        again = effect.derivative(at)
-        if again is None:
-            return None
-        derivative, result = again, scored(at, again)
-    return None
+            left_open = scipy.linalg.solve(information, along, assume_a="pos")
+        except np.linalg.LinAlgError:  # D_tt exceeds M_tt
+            left_open = along
+        moved = float(np.sqrt(along @ left_open))
+        if moved > max(NEGLIGIBLE_SCALE_ERROR, MIN_REMAINING_SIZE * float(np.linalg.norm(along))):
+            found.append(UnseenError(name, moved))
+    return tuple(sorted(found, key=lambda error: -error.relative))
 
 
-def _with_new_noise(problem: Problem, moments: Moments) -> Problem:
-    """Return the problem with the noise of repeats without the effect."""
-    if problem.noise.source != NoiseSource.REPEATS:
-        return problem
-    noise = reading_noise(problem.campaign, moments)
-    share, freedom = problem.noise.share, problem.noise.share_freedom
-    return replace(problem, noise=replace(noise, share=share, share_freedom=freedom))
+def with_positions_unsure(left: ExaminedFit) -> Minimum:
+    """Return the minimum with the declared uncertainty of positions in its covariance.
 
-
-def with_error(minimum: Minimum, moves: Array, covariance: Array) -> Minimum:
-    """Return a minimum with B' C B added to its covariance, (k, k) C and (k, free) B."""
-    added = minimum.reading_covariance.copy()
-    t = min(len(added), moves.shape[1])
-    added[:t, :t] += moves[:, :t].T @ covariance @ moves[:, :t]
-    return replace(minimum, reading_covariance=added)
+    If the data determine the positions, with their own estimate of the uncertainty instead.
+    """
+    layout = left.problem.campaign.layout
+    if layout.x_error is None and layout.y_error is None:
+        return left.minimum
+    if any(effect.code == POSITIONS.code for effect in left.effects):
+        return left.minimum  # they are unknowns already
+    fit = left.rows
+    taken_out = correction(fit, POSITIONS)
+    if taken_out is not None:
+        return taken_out.minimum
+    errors = np.array(
+        [
+            np.zeros(fit.problem.n) if error is None else error[layout.enabled]
+            for error in (layout.x_error, layout.y_error)
+        ]
+    )
+    minimum, first = left.minimum, 0
+    for part in parts_of_positions(fit):  # B of all of them does not fit into memory
+        those = errors[:, first : first + part.count // 2]
+        first += part.count // 2
+        minimum = with_error(minimum, scored(fit, part).moves, np.diag(those.ravel() ** 2))
+    return minimum

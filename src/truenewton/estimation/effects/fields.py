@@ -7,7 +7,7 @@ actuators, a force and two torques of each group. No array of all groups is made
 are as large as the distinct shapes of a campaign, and each block stays in the cache.
 
 Effects on single actuators, for example a driver that fails: what pooled rows leave of its readings
-gives chi^2 = U_t' M_tt^-1 U_t of each actuator (`score_test`). Only actuators that stand out get
+gives chi^2 = U_t' M_tt^-1 U_t of each actuator. Only actuators that stand out get
 parameters; otherwise the error of every actuator would grow.
 """
 
@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -27,6 +26,7 @@ from truenewton.estimation.effects.derivative import (
     FittedRows,
     OfEach,
     Some,
+    chi2_of_each,
     without_direction,
 )
 from truenewton.estimation.problem import Problem
@@ -143,9 +143,8 @@ class _FieldPass:
         means = field.mean(moments)
         self.kind = np.array([kinds.setdefault(h.tobytes(), len(kinds)) for h in means])
         self.mean = np.array([np.frombuffer(h) for h in kinds])
-        self.within = moments.within.counted(moments.weight > 0)
-        weighed = [moments.pooling.weighed(h) for h in self.mean]
-        self.pool = scipy.sparse.vstack(weighed, format="csr")
+        self.within = moments.counted_within
+        self.pool = moments.pooling.weighed(self.mean)
         k = 1 + int(self.kind[: field.each].max(initial=-1))  # kinds that are needed of each
         self.first = self.mean[:k] * moments.weight
         self.told, self.square, self.own_square = np.zeros((3, g))
@@ -314,8 +313,8 @@ def _of_each(
         h = mix.T @ sums.field.mean(fit.moments)[functions]
         values = sums.field.at(fit, some)
         made = np.empty((len(fit.fitted_rows), k, arms.shape[1]))
-        for index, one in enumerate(h):
-            made[:, index] = fit.moments.pooling.weighed(one) @ values
+        weighed = (fit.moments.pooling.weighed(h) @ values).reshape(k, len(made), -1)
+        made[:] = np.moveaxis(weighed, 0, 1)
         return made.reshape(len(made), -1)
 
     return OfEach(
@@ -345,7 +344,7 @@ def _removed(
     sizes[functions] = size
     scatter = moments.scatter - 2.0 * np.sum(size * sums[functions], axis=0)
     zeros, gains = within.zero.copy(), within.gain.copy()
-    counted = within.counted(moments.weight > 0)
+    counted = moments.counted_within
     for index, first in enumerate(counted.first):
         apart = (counted.products(index).T @ sizes - first[:, None] * shift) * own
         zeros[index] -= apart.sum(axis=0)
@@ -353,15 +352,6 @@ def _removed(
         scatter += sizes[index] * np.sum(apart * own, axis=0)
     within = replace(within, zero=zeros, gain=gains)
     return replace(moments, mean=mean, scatter=np.maximum(scatter, 0.0), within=within)
-
-
-def chi2_of_each(score: Array, information: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return (n,) chi^2 of (K, n) scores of (K, K, n) information, and their freedom."""
-    values, vectors = np.linalg.eigh(np.moveaxis(information, 2, 0))
-    held = values > 1e-4 * values.max()  # directions that the data constrain
-    along = np.einsum("nab,an->nb", vectors, score)
-    each = np.where(held, along**2 / np.where(held, values, 1.0), 0.0)
-    return np.sum(each, axis=1), np.count_nonzero(held, axis=1)
 
 
 def standing_out(sums: FieldSums, functions: slice, mix: Array) -> NDArray[np.intp]:

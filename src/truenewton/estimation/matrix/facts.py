@@ -23,7 +23,7 @@ from truenewton.arrays import Array
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.couplings import pair_ratios
-from truenewton.estimation.readings.rounding_steps import rounding_steps
+from truenewton.estimation.readings.moments import rounding_steps
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,12 +55,12 @@ class Unknowns:
         """The errors of the weights, in units of their standard uncertainties."""
         return slice(self.count, self.total)
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number without the errors of the weights: 50 for P45 without and with the ring."""
         return self.actuators + 1 + 2 * self.loads
 
-    @property
+    @cached_property
     def total(self) -> int:
         """Number of all, with the errors of the weights."""
         return self.count + self.weight_errors
@@ -76,8 +77,9 @@ class Unknowns:
         for load_index in range(self.loads):
             first = 1 + 2 * load_index
             derivative[load_index, :, first : first + 2] = np.transpose(by_torques)
-        for column, change in enumerate(weight_changes, self.count - self.actuators):
-            derivative[:, :, column] = external_load(change, 0.0, 0.0, 0.0)
+        if weight_changes:
+            changed = external_load(np.array(weight_changes), 0.0, 0.0, 0.0)  # (errors, L, 3)
+            derivative[:, :, self.count - self.actuators :] = np.moveaxis(changed, 0, 2)
         return derivative
 
 

@@ -29,7 +29,7 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.paper.equations import Unknowns, system_c, system_e
 from truenewton.estimation.paper.identifiability import diagnose, refuse
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.readings.row_readers import RowBlock, RowReader, read_rows
+from truenewton.estimation.readings.repeats import RowBlock, RowReader, read_rows
 from truenewton.estimation.readings.rows import row_groups
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.campaign import Campaign
@@ -198,6 +198,7 @@ class CycleErrors:
         weights, bias_force = campaign.effective_weights.tolist(), float(solution[unknowns.bias])
         torques = solution[unknowns.torques].reshape(-1, 2).tolist()
         self._external = [(weights[k], bias_force, *torques[k]) for k in campaign.load_index]
+        self._right = -external_load(*np.transpose(self._external)) @ self._a  # of one row each
         self._square, self._total = np.zeros((n, n), order="F"), np.zeros(n)
         self._alphas: list[Array] = []
 
@@ -208,7 +209,7 @@ class CycleErrors:
         self._total += force.sum(axis=0)
         if block.last:
             external = self._external[block.cycle_index]
-            alpha = self._from_square(external)
+            alpha = self._from_square(self._right[block.cycle_index] * self._total)
             if alpha is None:
                 alpha = from_rows(block.cycle, self._a, external)
             if alpha is not None:
@@ -233,11 +234,10 @@ class CycleErrors:
         for alphas in each(_alphas_of, alone, client):
             self._alphas += alphas
 
-    def _from_square(self, external: tuple[float, ...]) -> Array | None:
-        """Solve C' C alpha = C' p in place; None if it is close to singular."""
-        a, square = self._a, self._square
-        square *= a.T @ a
-        right = -np.sum(a * external_load(*external)[:, None], axis=0) * self._total
+    def _from_square(self, right: Array) -> Array | None:
+        """Solve C' C alpha = C' p in place, with (n,) C' p; None if it is close to singular."""
+        square = self._square
+        square *= self._a.T @ self._a
         norm = float(scipy.linalg.norm(square, 1, check_finite=False))  # of half of it
         factor, failed = dpotrf(square, clean=False, overwrite_a=True)
         if failed or dpocon(factor, norm)[0] <= 1e-10:

@@ -17,10 +17,20 @@ This is tested; if they do not, every group is a row of its own, R = g.
 
 The likelihood needs of a load only the number, sum and second moment of its rows: one symmetric
 rank-k update by BLAS.
+
+Rounding to steps q adds a variance of q^2 / 12. If the noise is as large as a step, the scatter of
+repeats contains all of it. If it is smaller, readings of one shape tend to the same step, and of
+sigma^2 + q^2 / 12 the scatter does not contain
+
+    b^2 = q^2 sum over k of exp(-(2 pi k sigma / q)^2) / (2 (pi k)^2),
+
+the mean square error of the mean by rounding (Fourier series of the sawtooth; Widrow and Kollar,
+Quantization Noise, 2008), which does not decrease with the number of repeats.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -110,18 +120,23 @@ class Pooling:
     def _transposed(self) -> scipy.sparse.csr_array:
         return self.basis.T.tocsr()
 
-    def weighed(self, factor: Array | float = 1.0) -> scipy.sparse.csr_array:
-        """Return (R, g) U' r f, f a (g,) factor."""
-        weighed, heavy = self._transposed.copy(), self.weight * factor
-        weighed.data *= heavy[weighed.indices]
-        weighed.eliminate_zeros()
-        return weighed
+    def weighed(self, factors: Array) -> scipy.sparse.csr_array:
+        """Return (k R, g) U' r f, f one of (k, g) factors after the other."""
+        weighed, heavy = [self._transposed.copy() for _ in factors], self.weight * factors
+        for one, weight in zip(weighed, heavy, strict=True):
+            one.data *= weight[one.indices]
+            one.eliminate_zeros()
+        return scipy.sparse.csr_array(scipy.sparse.vstack(weighed))
+
+    @cached_property
+    def _weighed(self) -> scipy.sparse.csr_array:
+        return self.weighed(np.ones((1, len(self.weight))))
 
     def rows(self, values: Array) -> Array:
         """Return (R, m) U' r v of (g, m) values v of the groups."""
-        return np.asarray(self.weighed() @ values)
+        return np.asarray(self._weighed @ values)
 
-    @property
+    @cached_property
     def squared_lengths(self) -> Array:
         """(g,) sum of the squares of each row of U."""
         return np.asarray(self.basis.multiply(self.basis).sum(axis=1)).ravel()
@@ -198,11 +213,6 @@ class WithinGroups:
         """(files + 1, g) weighted sums of h."""
         return np.vstack([self.weight, self.hour.sum(axis=0)])
 
-    def counted(self, groups: NDArray[np.bool_]) -> WithinGroups:
-        """Return the same with the rows of (g,) some groups only; sums over all rows stay."""
-        weight, hour, square = self.weight * groups, self.hour * groups, self.square * groups
-        return replace(self, weight=weight, hour=hour, square=square)
-
     def products(self, index: int) -> Array:
         """Return (files + 1, g) weighted sums of h times one of the h."""
         files = len(self.weight)
@@ -267,12 +277,12 @@ class Moments:
     displacement: Array | None = None
     step: Array | float = 0.0
 
-    @property
+    @cached_property
     def groups(self) -> int:
         """Number of groups that are not left out."""
         return int(np.count_nonzero(self.rows))
 
-    @property
+    @cached_property
     def repeats(self) -> int:
         """Rows less groups: the degrees of freedom of the scatter of one actuator."""
         return int(self.rows.sum()) - self.groups
@@ -284,15 +294,24 @@ class Moments:
             return float("nan")
         return float(np.sqrt(self.scatter.mean() / self.repeats * self.typical_variance))
 
-    @property
+    @cached_property
     def typical_variance(self) -> float:
         """Variance of a typical row over that of a row of weight 1."""
         return float(self.rows.sum() / self.weight.sum())
 
-    @property
+    @cached_property
     def rounding(self) -> Array | float:
         """(n,) variance of rounding, in terms of a reading of weight 1 [N^2]."""
         return np.square(self.step) / 12 / self.typical_variance
+
+    @cached_property
+    def counted_within(self) -> WithinGroups:
+        """``within`` of the groups that are not left out; sums over all rows stay."""
+        within, counted = self.within, self.weight > 0
+        weight, hour, square = (
+            values * counted for values in (within.weight, within.hour, within.square)
+        )
+        return replace(within, weight=weight, hour=hour, square=square)
 
     @cached_property
     def sums(self) -> ShapeSums:
@@ -304,7 +323,7 @@ class Moments:
         mean, known, share = map(pooling.rows, (self.mean, self.known, of_load))
         return shape_sums(mean, np.ones(pooling.count), known, share.T)
 
-    @property
+    @cached_property
     def of_load(self) -> Array:
         """(g, L) 1 if a group is under a load, otherwise 0."""
         return np.asarray(self.labels[:, :1] == np.arange(len(self.loads)), dtype=np.float64)
@@ -354,3 +373,69 @@ def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:
     """
     rows, weight = np.where(chosen, moments.rows, 0), np.where(chosen, moments.weight, 0.0)
     return replace(moments, rows=rows, weight=weight)
+
+
+# -- rounding to steps, as of a converter ----------------------------------------------------------
+
+_SIGMA = np.linspace(0.0, 1.0, 101)  # of a step
+_K = np.arange(1, 200)[:, None]
+_HIDDEN = np.sum(np.exp(-((2 * np.pi * _K * _SIGMA) ** 2)) / (2 * (np.pi * _K) ** 2), axis=0)
+
+
+def rounding_steps(readings: Sequence[Array]) -> Array:
+    """Return (n,) the step of which the readings of each actuator are multiples [N], or 0.
+
+    They may have an offset. By Euclid's algorithm from the smallest gaps between readings, in which
+    rounding of stored numbers grows least; larger gaps then refine it.
+
+    Parameters
+    ----------
+    readings
+        (n,) of some shapes [N].
+    """
+    if len(readings) < 12:  # too few gaps to recognise a step
+        return np.zeros(len(readings[0]) if readings else 0)
+    ordered = np.sort(readings, axis=0)
+    apart = ordered[1:] - ordered[0]
+    # Finer steps are rounding of the computer.
+    finest = 1e-6 * np.maximum(np.abs(readings).max(axis=0), 1e-300)
+    gaps = np.diff(ordered, axis=0)
+    gaps = np.sort(np.where(gaps > finest, gaps, np.inf), axis=0)
+    step = np.where(np.isfinite(gaps[0]), gaps[0], 0.0)
+    for gap in gaps[1:8]:
+        other = np.where(np.isfinite(gap), gap, 0.0)
+        while (other > finest).any():
+            ended, rest = other <= finest, np.abs(_off(step, other))
+            step, other = np.where(ended, step, other), np.where(ended, 0.0, rest)
+    for span in np.sort([*gaps, *apart], axis=0):
+        count = np.round(np.divide(span, step, out=np.zeros_like(span), where=step > finest))
+        multiple = (count > 0) & np.isfinite(span) & (np.abs(_off(span, step)) <= 0.1 * step)
+        step = np.divide(span, count, out=step.copy(), where=multiple)
+    step = _exact(step, apart, finest)
+    if (step > 0.0).any():  # converters are usually of one type
+        step = np.maximum(
+            step, _exact(np.where(step > 0.0, 0.0, np.median(step[step > 0.0])), apart, finest)
+        )
+    return step
+
+
+def _exact(step: Array, apart: Array, finest: Array) -> Array:
+    """Return (n,) steps, 0 if (m, n) distances are no multiples of them."""
+    exact = (np.abs([_off(span, step) for span in apart]) <= 0.02 * step).all(axis=0)
+    return np.where(exact & (step > finest), step, 0.0)
+
+
+def _off(values: Array, steps: Array) -> Array:
+    """Return (n,) differences of values from the nearest multiple of steps."""
+    finite = (steps > 0.0) & np.isfinite(values)
+    whole = np.divide(values, steps, out=np.zeros_like(values), where=finite)
+    return np.where(finite, values, 0.0) - steps * np.round(whole)
+
+
+def hidden_variance(step: Array, seen: Array) -> Array:
+    """Return b^2 [N^2], from (n,) steps [N] and the variance of a reading among its repeats."""
+    square = np.maximum(step, 1e-150) ** 2
+    of_repeats = _SIGMA**2 + 1 / 12 - _HIDDEN
+    ratio = np.divide(seen, square, out=np.full_like(square, np.inf), where=step > 0.0)
+    hidden = square * np.interp(ratio, of_repeats, _HIDDEN, right=0.0)
+    return np.asarray(np.where(step > 0.0, hidden, 0.0))

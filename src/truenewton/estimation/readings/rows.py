@@ -1,24 +1,33 @@
-"""Rows of a cycle as they balance, and the groups of rows that repeat one shape.
+"""The rows of a campaign as they balance, in blocks of groups that repeat one shape.
 
 Displacements count from one reading of each sensor for all cycles of a campaign: the mean of its
 cycles at rest. So alpha is that of the mean position of the mirror under all loads. Electronics may
 set their zero anew with each file. If the mean of a sensor over a cycle differs from the common one
 by more than its rms displacement, this sensor counts from the mean of each cycle instead; if this
 holds for most sensors, all of them do.
+
+Rows with the same load, SHAPE and SIGN are a group. A block of groups lists its rows and reads them
+itself, and its sums contain no row. So blocks can be summed in any order, here or by the workers of
+a cluster.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.files.stored_rows import Rows
+from truenewton.estimation.findings.estimate import RejectedRow
+from truenewton.files.stored_rows import BLOCK_BYTES, Rows
+from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
+from truenewton.statics.arms import enabled_arms
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
 
@@ -203,3 +212,370 @@ def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
         first = np.concatenate([[True], np.diff(group[rest]) > 0])
         yield rest[first]
         rest = rest[~first]
+
+
+# -- what a block reads ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FileRows:
+    """Rows of one file, at most one of each group, not yet read.
+
+    Attributes
+    ----------
+    file, row
+        Index of the cycle, and (m,) rows of its MEASUREMENTS.
+    group
+        (m,) their groups in ascending order; in a block, counted from its first.
+    hour
+        (m,) hours since the mean of all cycles.
+    sampled
+        (m,) whether their deviations are kept.
+    printed
+        (m,) their labels, SHAPE times SIGN, if prints are taken of them; otherwise 0.
+    weight
+        Of a row.
+    balanced
+        Reads them.
+    """
+
+    file: int
+    row: NDArray[np.int64]
+    group: Selection
+    hour: Array
+    sampled: NDArray[np.bool_]
+    printed: NDArray[np.int64]
+    weight: float
+    balanced: BalancedRows
+
+    def within(self, block: slice) -> FileRows | None:
+        """Return the rows of a block of groups; None if there is none."""
+        group = self.group
+        assert not isinstance(group, slice)  # these are the rows of all groups
+        first, end = group.searchsorted((block.start, block.stop)).tolist()
+        if first == end:
+            return None
+        whole = end - first == block.stop - block.start
+        at = slice(None) if whole else group[first:end] - block.start  # a slice: no copy
+        return self.only(slice(first, end), at)
+
+    def only(self, some: slice | NDArray[np.bool_], group: Selection) -> FileRows:
+        """Return some of the rows, which have (m,) groups."""
+        return replace(
+            self,
+            row=self.row[some],
+            group=group,
+            hour=self.hour[some],
+            sampled=self.sampled[some],
+            printed=self.printed[some],
+        )
+
+    @property
+    def where(self) -> Selection:
+        """The (m,) rows, as a slice if they are successive."""
+        row = self.row
+        follow = bool((np.diff(row) == 1).all())
+        return slice(int(row[0]), int(row[-1]) + 1) if follow and row.size else row
+
+    def read(self) -> ReadRows:
+        """Read the rows.
+
+        Prints are of what was read: corrected for displacements, no row repeats to the last bit.
+        """
+        raw, position = self.balanced.read(self.where)
+        return ReadRows(self, *self.balanced.of(raw, position), raw[self.printed != 0])
+
+    def rejected_in(self, rejected: Sequence[RejectedRow]) -> NDArray[np.bool_]:
+        """Return (m,) which of the rows are left out."""
+        return np.isin(self.row, [row.row for row in rejected if row.cycle == self.file])
+
+
+class ReadRows(NamedTuple):
+    """Rows of a file that were read.
+
+    Their description, (m, n) c (1 + COILGRAD z) [N], (m, 3) A (BIASGRAD z) or None, and commanded
+    forces of those of which prints are taken [N].
+    """
+
+    of: FileRows
+    force: Array
+    known: Array | None
+    printed: Array
+
+    def only(self, kept: NDArray[np.bool_]) -> ReadRows:
+        """Return the (m,) rows that are kept."""
+        of, force, known, printed = self
+        if kept.all():
+            return self
+        group = np.arange(len(kept)) if isinstance(of.group, slice) else of.group
+        known = None if known is None else known[kept]
+        rows = of.only(kept, group[kept])
+        return ReadRows(rows, force[kept], known, printed[kept[of.printed != 0]])
+
+
+@dataclass(frozen=True, eq=False)
+class GroupBlock:
+    """A block of groups, with the rows that are not left out.
+
+    Attributes
+    ----------
+    index, span
+        Which of the blocks, and which groups are in it, in the order in which they come.
+    parts
+        Rows of a file, at most one of each group.
+    heaviest
+        Largest weight of a row of the campaign.
+    """
+
+    index: int
+    span: slice
+    parts: tuple[FileRows, ...]
+    heaviest: float
+
+    @property
+    def groups(self) -> int:
+        """Number of groups."""
+        return int(self.span.stop - self.span.start)
+
+    @cached_property
+    def number(self) -> NDArray[np.int64]:
+        """(groups,) number of rows."""
+        number = np.zeros(self.groups, dtype=np.int64)
+        for part in self.parts:
+            number[part.group] += 1
+        return number
+
+    @cached_property
+    def weight(self) -> Array:
+        """(groups,) sum of the weights of the rows."""
+        weight = np.zeros(self.groups)
+        for part in self.parts:
+            weight[part.group] += part.weight
+        return weight
+
+    def distance_factor(self, weight: float) -> Array:
+        """Return (groups,) factor of the squared deviation of a row from the mean of the others.
+
+        The mean includes the row itself. With this factor, deviations have the variance of a
+        reading of weight 1; it is 0 for a row without others.
+        """
+        total = self.weight
+        return np.asarray(weight * total / np.where(total > weight, total - weight, np.inf))
+
+
+def file_rows(
+    campaign: Campaign,
+    reference: Array,
+    groups: Sequence[NDArray[np.int64]],
+    printed: NDArray[np.int64],
+) -> list[FileRows]:
+    """Return rows of each file, of each group at most one, in the order of the groups.
+
+    Parameters
+    ----------
+    campaign, reference
+        The campaign, and (n,) of `common_reference` [m].
+    groups
+        Of each cycle (N,) the group of each row that counts.
+    printed
+        (g,) labels of the groups of which prints are taken, otherwise 0.
+    """
+    found, a, weights = list[FileRows](), enabled_arms(campaign.layout), row_weights(campaign)
+    # Deviations of 1000 rows are kept: they give a variance of three degrees to 3 %.
+    stride = max(1, sum(map(len, groups)) // 1000)
+    files = zip(campaign.cycles, groups, row_hours(campaign), weights, strict=True)
+    for k, (cycle, group, hour, weight) in enumerate(files):
+        balanced = balanced_rows(cycle, a, reference)
+        balanced = replace(balanced, enabled=campaign.layout.enabled)  # one array for all files
+        counting = np.flatnonzero(cycle.valid)
+        for some in distinct(group):
+            at, sampled = group[some], some % stride == 0
+            found.append(
+                FileRows(k, counting[some], at, hour[some], sampled, printed[at], weight, balanced)
+            )
+    return found
+
+
+def group_blocks(layers: Sequence[FileRows], groups: int, n: int) -> list[GroupBlock]:
+    """Cut so many groups into blocks, as they come, with the rows of n readings of each."""
+    number = np.zeros(groups, dtype=np.int64)
+    for layer in layers:
+        number[layer.group] += 1
+    most = int(np.clip(BLOCK_BYTES // (8 * n * number.max()), 1, ROWS_AT_ONCE))
+    heaviest, blocks = max(layer.weight for layer in layers), list[GroupBlock]()
+    for start in range(0, groups, most):
+        span = slice(start, min(start + most, groups))
+        parts = (layer.within(span) for layer in layers)
+        here = tuple(part for part in parts if part is not None)
+        blocks.append(GroupBlock(len(blocks), span, here, heaviest))
+    return blocks
+
+
+# -- sums of a block ------------------------------------------------------------------------------
+
+
+HOURS = -1  # key of the sums by hour among those by file
+
+FileSums = dict[int, Array]
+"""By file and under `HOURS` (2, n) sums over rows, weighted, of (c - c_mean) [N] and the same times
+c_mean; under `HOURS` times the hour."""
+
+
+@dataclass(frozen=True, eq=False)
+class BlockSums:
+    """Sums over the rows of a block.
+
+    Attributes
+    ----------
+    block
+        Which of the blocks.
+    mean, known
+        (groups, n) and (groups, 3) means over the rows of a group [N].
+    scatter
+        (n,) weighted sum of squared deviations from these [N^2].
+    furthest
+        (n,) largest distance of a row from the mean of the others of its group, divided by its
+        noise over that of a row of weight 1 [N].
+    sample
+        (m, n) deviations of some rows from the others of their groups, at weight 1 [N].
+    printed
+        Rows of which prints are taken: of some files the index, labels and (m, n) readings [N].
+    """
+
+    block: int
+    mean: Array
+    known: Array
+    scatter: Array
+    furthest: Array
+    sample: Array
+    printed: list[tuple[int, NDArray[np.int64], Array]]
+
+
+class WithoutWorst(NamedTuple):
+    """A block without the worst rows of its groups, these rows, and the sums of the rest.
+
+    The sums are None if a group is empty.
+    """
+
+    block: GroupBlock
+    rejected: list[RejectedRow]
+    sums: BlockSums | None
+
+
+def added(one: FileSums, other: FileSums) -> FileSums:
+    """Add sums by file."""
+    return one | {k: one[k] + sums if k in one else sums for k, sums in other.items()}
+
+
+def sums_of(blocks: Sequence[GroupBlock]) -> tuple[list[BlockSums], FileSums]:
+    """Read some blocks; return the sums of each, and those by file of all."""
+    sums, by_file = list[BlockSums](), FileSums()
+    for block in blocks:
+        of_block, of_files = _summed(block, [part.read() for part in block.parts])
+        sums.append(of_block)
+        by_file = added(by_file, of_files)
+    return sums, by_file
+
+
+def without_worst(
+    block: GroupBlock, *, noise: Array, limit: float, ids: NDArray[np.int64]
+) -> tuple[WithoutWorst | None, FileSums]:
+    """Read a block, and leave out the worst row of each group that has one too far out.
+
+    Returns the block, None if no row is too far out, and by how much the sums by file change.
+    Noise of a reading of weight 1 [N] and ids are (n,).
+    """
+    read = [part.read() for part in block.parts]
+    worst = _worst_rows(block, read, noise, limit, ids)
+    if not worst:
+        return None, {}
+    kept = [(rows, ~rows.of.rejected_in(worst)) for rows in read]
+    left = [rows.only(some) for rows, some in kept if some.any()]
+    rest = replace(block, parts=tuple(rows.of for rows in left))
+    if not rest.number.all():
+        return WithoutWorst(rest, worst, None), {}
+    before = _summed(block, read)[1]
+    sums, after = _summed(rest, left)
+    change = added(after, {k: -of_file for k, of_file in before.items()})
+    return WithoutWorst(rest, worst, sums), change
+
+
+def _worst_rows(
+    block: GroupBlock, read: list[ReadRows], noise: Array, limit: float, ids: NDArray[np.int64]
+) -> list[RejectedRow]:
+    """Return the worst row of each group that has one too far out; both of a group of two."""
+    worst: dict[int, RejectedRow] = {}
+    pairs: list[RejectedRow] = []
+    mean, every = _means(block, read)[0], np.arange(block.groups)
+    for part, force, _, _ in read:
+        factor = np.sqrt(block.distance_factor(part.weight))[part.group][:, None]
+        sigmas = np.abs((force - mean[part.group]) * factor) / noise
+        group, number = every[part.group], block.number[part.group]
+        for at in np.flatnonzero(sigmas.max(axis=1, initial=0.0) > limit).tolist():
+            i, g = int(sigmas[at].argmax()), int(group[at])
+            far = float(sigmas[at, i])
+            row = RejectedRow(part.file, int(part.row[at]), int(ids[i]), far, "repeats")
+            if number[at] == 2:
+                pairs.append(row)
+            elif g not in worst or worst[g].sigmas < far:
+                worst[g] = row
+    return [*worst.values(), *pairs]
+
+
+def _means(block: GroupBlock, read: list[ReadRows]) -> tuple[Array, Array]:
+    """Return (groups, n) and (groups, 3) means over the rows of each group [N]."""
+    n = read[0].force.shape[1]
+    mean, known = np.zeros((block.groups, n)), np.zeros((block.groups, 3))
+    for part, force, of_balance, _ in read:
+        share = part.weight / block.heaviest
+        mean[part.group] += force if share == 1.0 else share * force
+        if of_balance is not None:
+            known[part.group] += part.weight * of_balance
+    mean *= (block.heaviest / block.weight)[:, None]
+    return mean, known / block.weight[:, None]
+
+
+def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSums]:
+    """Return the sums over the rows that were read of a block, and those by file."""
+    mean, known = _means(block, read)
+    n = mean.shape[1]
+    scatter, furthest, sample = np.zeros(n), np.zeros(n), []
+    by_file = {HOURS: np.zeros((2, n))}
+    for part, force, _, _ in reversed(read):  # the last are in the cache still
+        factor = block.distance_factor(part.weight)
+        apart = force - mean[part.group]
+        chosen = part.sampled & (block.number[part.group] > 1)
+        sample.append(apart[chosen] * np.sqrt(factor[part.group][chosen])[:, None])
+        of_file = by_file.setdefault(part.file, np.zeros((2, n)))
+        ones = np.ones(len(apart))
+        for k, values in enumerate((apart, apart * mean[part.group])):
+            of_file[k] += part.weight * (ones @ values)
+            by_file[HOURS][k] += part.weight * (part.hour @ values)  # both at once take longer
+        apart *= apart
+        scatter += part.weight * (ones @ apart)
+        if not (factor == factor[0]).all():
+            apart *= factor[part.group][:, None]
+            factor = np.ones(1)
+        here = np.sqrt(apart.max(axis=0, initial=0.0) * factor[0])
+        np.maximum(furthest, here, out=furthest)
+    printed = [
+        (rows.of.file, rows.of.printed[rows.of.printed != 0], rows.printed)
+        for rows in read
+        if rows.printed.size
+    ]
+    sums = BlockSums(block.index, mean, known, scatter, furthest, np.concatenate(sample), printed)
+    return sums, by_file
+
+
+def mean_displacement(
+    block: GroupBlock, positions: Sequence[Rows], zeros: Sequence[Array]
+) -> tuple[int, Array]:
+    """Read POSITION of a block; return its index, and (groups, n) mean displacements [m].
+
+    Of each file POSITION, and (n,) readings from which its displacements count [m].
+    """
+    total = np.zeros((block.groups, len(zeros[0])))
+    for part in block.parts:
+        read = part.balanced.used(positions[part.file], part.where)
+        total[part.group] += part.weight * (read - zeros[part.file])
+    return block.index, total / block.weight[:, None]

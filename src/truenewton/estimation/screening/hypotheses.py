@@ -30,7 +30,7 @@ from truenewton.estimation.findings.finding import (
     about_actuators,
 )
 from truenewton.estimation.readings.moments import Moments, WithinGroups
-from truenewton.estimation.readings.row_readers import RowPrints, common_labels
+from truenewton.estimation.readings.repeats import RowPrints, common_labels
 from truenewton.linalg import assignment
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import listed, significant
@@ -96,7 +96,7 @@ def compare_files(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
     """
     findings = list[Finding]()
     found = dict[tuple[Difference, tuple[int, ...]], list[str]]()
-    for quantity, rows in (("FORCE", prints.common_rows()), ("POSITION", _positions(campaign))):
+    for quantity, rows in (("FORCE", prints.common_rows), ("POSITION", _positions(campaign))):
         if rows is None or len(rows) < 2 or rows.shape[1] < MIN_SHARED_LABELS:
             continue
         if quantity == "POSITION" and not np.ptp(rows, axis=(0, 1)).any():
@@ -347,7 +347,7 @@ def unlike_files(
 
     The groups differ by ``least`` of their size.
     """
-    rows = _centred(prints.common_rows())
+    rows = _centred(prints.common_rows)
     if len(rows) < 3 or rows.shape[1] < MIN_SHARED_LABELS:
         return ()
     distance = np.zeros((len(rows), len(rows)))

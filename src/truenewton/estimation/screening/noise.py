@@ -21,8 +21,7 @@ from truenewton.chance import chi2_sf, f_sf
 from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.paper.identifiability import MIN_REPEATS
-from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.readings.rounding_steps import hidden_variance
+from truenewton.estimation.readings.moments import Moments, hidden_variance
 from truenewton.estimation.readings.rows import WEIGHED_NOISE
 from truenewton.records.campaign import Campaign
 

@@ -26,8 +26,7 @@ from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding, about_actuators
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.readings.repeats import RepeatSums
-from truenewton.estimation.readings.row_readers import RowPrints
+from truenewton.estimation.readings.repeats import RepeatSums, RowPrints
 from truenewton.estimation.screening.hypotheses import (
     MIN_DIFFERENCE_OF_REPEATING_FILES,
     compare_files,
@@ -274,11 +273,11 @@ def frozen_readings(campaign: Campaign, prints: RowPrints) -> Iterator[Finding]:
 
     Readings that are constant in all files are those of `checks.constant_actuators`.
     """
-    whole = [prints.longest[file] == prints.rows(file) - 1 for file in prints.longest]
+    whole = [prints.longest[file] == prints.rows[file] - 1 for file in prints.longest]
     constant = np.logical_and.reduce(whole)
     for file, longest in sorted(prints.longest.items()):
         name, still = campaign.cycles[file].name, _stand_still(prints, file)
-        share, frozen = longest / prints.rows(file), np.flatnonzero(still & ~constant)
+        share, frozen = longest / prints.rows[file], np.flatnonzero(still & ~constant)
         if still.all() and not constant.all():
             where, size = f"all actuators in {name}", float(share.min())
             yield Finding(code=Code.FROZEN_READINGS, where=where, size=size)
@@ -292,7 +291,7 @@ def _stand_still(prints: RowPrints, file: int) -> NDArray[np.bool_]:
     """Return which (n,) readings of a file are frozen, but not at a limit of several."""
     longest, common = prints.longest[file], _at_common_limit(prints, file)
     at_limit = common & (np.count_nonzero(common) > 1) & (prints.at_limit[file] > longest)
-    least = max(MIN_FROZEN_ROWS, MIN_FROZEN_FRACTION * prints.rows(file))
+    least = max(MIN_FROZEN_ROWS, MIN_FROZEN_FRACTION * prints.rows[file])
     return np.asarray((longest >= least) & ~at_limit)
 
 
