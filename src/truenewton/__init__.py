@@ -40,8 +40,9 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
     from truenewton.comparison.calibrations import Change as Change
-    from truenewton.comparison.compare import Comparison as Comparison
     from truenewton.comparison.compare import compare as compare
+    from truenewton.comparison.result import Comparison as Comparison
+    from truenewton.comparison.result import read_comparison as read_comparison
     from truenewton.estimation.findings.code import Code as Code
     from truenewton.estimation.findings.code import Level as Level
     from truenewton.estimation.findings.finding import Finding as Finding
@@ -109,7 +110,8 @@ _NAMES = {
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
     "comparison.calibrations": ["Change"],
-    "comparison.compare": ["Comparison", "compare"],
+    "comparison.compare": ["compare"],
+    "comparison.result": ["Comparison", "read_comparison"],
     "estimation.findings.code": ["Code", "Level"],
     "estimation.findings.finding": ["Finding", "Verdict"],
     "importers.supervisor": ["export_supervisor"],

@@ -1,16 +1,19 @@
 """What changed between two matrices of one mirror: simulated pairs with known changes."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import truenewton as tn
 from studies.comparison import LAWS, SCATTER, pair
 from studies.matrices import measured_or_made, true_stiffness
-from truenewton.errors import CampaignMismatch
+from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.linalg import symmetrised
+from truenewton.records.campaign import Campaign
 
 MATRIX = measured_or_made("p45")
 EXACT = true_stiffness(MATRIX)
@@ -64,9 +67,9 @@ def test_other_order_and_a_missing_actuator_change_nothing():
     flexibility = np.linalg.inv(NEW.stiffness)[np.ix_(kept, kept)]  # actuator 8 exerts no force
     part = replace(NEW, stiffness=np.linalg.inv(flexibility), layout=NEW.layout.part(kept))
     c = tn.compare(OLD, part)
-    assert c.pair.only_old == (8,)
-    at = np.flatnonzero(np.isin(OLD.layout.id, c.layout.id))
-    apart = np.log(c.alpha_ratio) - np.log(whole.alpha_ratio[at])
+    assert c.matching.only_old == (8,)
+    assert np.flatnonzero(np.isnan(c.alpha_ratio)) == [7]
+    apart = np.delete(np.log(c.alpha_ratio / whole.alpha_ratio), 7)
     assert np.abs(apart - apart.mean()).max() < 6e-4
     assert not c.alpha_changed.any()
 
@@ -76,7 +79,7 @@ def test_exchanged_cables_are_recognised(axis, name):
     order = np.arange(45)
     order[[4, 9]] = 9, 4
     c = tn.compare(OLD, replace(NEW, stiffness=np.take(NEW.stiffness, order, axis=axis)))
-    assert getattr(c.pair, name) == ((5, 10), (10, 5))
+    assert getattr(c.matching, name) == ((5, 10), (10, 5))
     assert np.allclose(c.alpha_ratio, tn.compare(OLD, NEW).alpha_ratio, rtol=1e-6)
 
 
@@ -95,7 +98,7 @@ def test_a_row_of_noise_is_left_out():
         k[5] = 1e4 * np.random.default_rng(1).standard_normal(45)
 
     c = tn.compare(OLD, with_elements(change))
-    assert c.pair.lost_rows == (6,)
+    assert c.matching.lost_rows == (6,)
     assert not c.alpha_changed.any()
 
 
@@ -121,6 +124,102 @@ def test_a_cleaned_matrix_is_doubtful():
 def test_matrices_that_cannot_be_compared_are_refused(change, words):
     with pytest.raises(CampaignMismatch, match=words):
         tn.compare(OLD, replace(NEW, stiffness=change(NEW.stiffness)))
+
+
+@cache
+def campaigns():
+    """Return campaigns before and after a change of two actuators and of one sensor."""
+    bench = tn.static_bench(tn.mirrors.p45(), seed=3)
+    alpha, gain = bench.truth.alpha.copy(), bench.sensors.gain.copy()
+    alpha[3] *= 0.85
+    alpha[7] *= -1.0
+    gain[20] /= 1.03
+    truth = replace(bench.truth, alpha=alpha, seed=4)
+    later = replace(bench, truth=truth, sensors=replace(bench.sensors, gain=gain))
+    return tuple(Campaign(tuple(tn.run_cycles(each, 1))) for each in (bench, later))
+
+
+@pytest.mark.parametrize("noise", [0.0, 5e-4])
+def test_two_campaigns_or_a_matrix_and_a_campaign_show_what_changed(noise):
+    old, new = campaigns()
+    if noise:  # the matrix of the day of the old campaign
+        old = tn.measured_stiffness(old).matrix
+        random = np.random.default_rng(1).standard_normal(old.stiffness.shape)
+        old = replace(old, stiffness=old.stiffness + noise * old.stiffness.std() * random)
+    c = tn.compare(old, new)
+    assert [*c.layout.id[c.alpha_changed]] == [4, 8]
+    assert [*c.layout.id[c.sensor_changed]] == [21]
+    for ratio, error, changed in (
+        (c.alpha_ratio, c.alpha_ratio_error, c.alpha_changed),
+        (c.sensor_ratio, c.sensor_ratio_error, c.sensor_changed),
+    ):
+        sigmas = (ratio - 1.0)[~changed] / error[~changed]
+        assert 0.6 < np.std(sigmas) < 1.4
+        assert np.median(error) < 3e-4
+    assert (c.noise_law, c.verdict.level) == ("shapes", Level.SOUND)
+
+
+def test_a_campaign_of_few_shapes_is_refused():
+    old, new = campaigns()
+    few = Campaign(tuple(replace(cycle, valid=cycle.shape <= 20) for cycle in new.cycles))
+    with pytest.raises(RankDeficient, match="25 of 42 elastic motions are missing"):
+        tn.compare(old, few)
+
+
+def test_with_a_repeat_the_errors_rest_on_its_scatter():
+    """A change of the glass that the noise of one pair may explain is flagged."""
+    random = np.random.default_rng(5)
+
+    def measured(k):
+        noise = 5e-4 * k * random.standard_normal(k.shape)
+        return replace(MATRIX, stiffness=k + noise)
+
+    stiffer = EXACT * np.exp(1e-3 * symmetrised(random.standard_normal(EXACT.shape)))
+    old, repeat, new = measured(EXACT), measured(EXACT), measured(stiffer)
+    same, other = (
+        tn.compare(old, measured(EXACT), repeat=repeat),
+        tn.compare(old, new, repeat=repeat),
+    )
+    assert same.verdict.level is Level.SOUND
+    assert same.excess == pytest.approx(1.0, abs=0.1)
+    assert tn.compare(old, new).verdict.level is Level.SOUND
+    assert Code.PAIR_EXCESS in {each.code for each in other.verdict.faults}
+    assert np.median(other.alpha_ratio_error / same.alpha_ratio_error) > 1.3
+    assert tn.compare(new, old, repeat=repeat).excess == pytest.approx(other.excess, rel=0.05)
+
+
+def test_segments_are_compared_each_by_itself_and_kept_in_one_file(tmp_path):
+    pairs = pair(MATRIX, EXACT, 12, "equal", changed=True), (OLD, NEW)
+    layout = tn.layout(
+        np.concatenate([MATRIX.layout.x, MATRIX.layout.x + 1.0]),
+        np.tile(MATRIX.layout.y, 2),
+        segment=np.repeat([1, 2], 45),
+    )
+    old, new = (
+        tn.SegmentedData(
+            stiffness=replace(
+                MATRIX,
+                layout=layout,
+                stiffness=scipy.linalg.block_diag(*(each[k].stiffness for each in pairs)),
+            )
+        )
+        for k in (0, 1)
+    )
+    c = tn.compare(old, new)
+    assert {number: int(one.changed.sum()) for number, one in c.found.items()} == {1: 4, 2: 0}
+    assert np.allclose(c.part(2).alpha_ratio, tn.compare(OLD, NEW).alpha_ratio)
+    c.write(tmp_path / "change.fits")
+    assert tn.read_comparison(tmp_path / "change.fits").summary() == c.summary()
+
+
+def test_a_comparison_can_be_read_again(tmp_path):
+    order = np.arange(45)
+    order[[4, 9]] = 9, 4
+    c = tn.compare(OLD, replace(NEW, stiffness=NEW.stiffness[order]))
+    c.write(tmp_path / "change.fits")
+    assert tn.read_comparison(tmp_path / "change.fits").summary() == c.summary()
+    with pytest.raises(FormatError, match="what `compare` wrote"):
+        tn.read(tmp_path / "change.fits")
 
 
 def test_the_command_prints_and_writes(tmp_path, inside):

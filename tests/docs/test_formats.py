@@ -8,6 +8,7 @@ import pytest
 from truenewton.bench.simulated.truth import TRUTH
 from truenewton.calibration.export import CALIBRATIONS
 from truenewton.calibration.result import CALIBRATION
+from truenewton.comparison.result import COMPARISON
 from truenewton.estimation.findings.code import rows as threshold_rows
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
@@ -32,6 +33,7 @@ FORMATS = {
     "The calibration of several segments": CALIBRATIONS.whole,
     "The tracking file": TRACKING,
     "The tracking of several segments": TRACKINGS.whole,
+    "The comparison file": COMPARISON,
     "The modal base": MODES,
     "The truth of a simulation": TRUTH,
     "The plain matrices": PLAIN["ff_matrix"],

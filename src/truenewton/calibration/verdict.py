@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Hashable, Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -47,11 +48,11 @@ REGARDLESS = (
 def verdict_on(calibration: AnyCalibration) -> Verdict:
     """Judge a calibration by what its file holds of it; of several segments all together."""
     if isinstance(calibration, Parts):
-        return _on_parts(calibration)
+        return verdict_on_parts(calibration)
     return judged([*_rejecting(calibration), *_of_data(calibration), *_of_result(calibration)])
 
 
-def _on_parts(c: Parts[Calibration]) -> Verdict:
+def verdict_on_parts(c: Parts[Any]) -> Verdict:
     """Judge a segmented mirror by its best segment; each finding names its segments."""
     of_each = {number: one.verdict for number, one in c.found.items()}
     of_each |= {number: no_alpha(faults) for number, faults in c.failed.items()}

@@ -164,34 +164,46 @@ def run_recalibrate(
 
 
 def run_compare(
-    old: Path = typer.Argument(..., metavar="OLD", help="Earlier stiffness or calibration file."),
-    new: Path = typer.Argument(..., metavar="NEW", help="Later stiffness or calibration file."),
-    output: Path | None = options.output("Table of all changes to write (.csv, .ecsv)."),
+    old: Path = typer.Argument(
+        ..., metavar="OLD", help="Earlier stiffness file, folder of a campaign, or calibration."
+    ),
+    new: Path = typer.Argument(..., metavar="NEW", help="The same later."),
+    repeat: Path | None = typer.Option(
+        None, "--repeat", help="Further data of the day of OLD or NEW, for the errors."
+    ),
+    output: Path | None = options.output(
+        "File to write: .fits, the comparison; .ecsv or .csv, its table."
+    ),
     figure: Path | None = typer.Option(
         None, "--figure", help="Map of the change of alpha to write (.pdf, .png, .svg)."
     ),
+    segment: int | None = options.SEGMENT,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Find what changed between two stiffness matrices, or two calibrations, of one mirror."""
+    """Find what changed between two stiffness matrices, campaigns or calibrations of one mirror."""
     from truenewton.comparison.compare import compare
     from truenewton.comparison.summary import lines, values
     from truenewton.figures.writing import write_figure
+    from truenewton.reading import read_chosen
+    from truenewton.records.file import SUFFIXES
 
-    if output is not None:
-        options.require_suffix(output, (".csv", ".ecsv"), "table")
+    options.require_suffix(output, (*SUFFIXES, ".csv", ".ecsv"), "comparison")
     refuse_existing(output, figure, overwrite=overwrite)
     with busy("comparing"):
-        compared = compare(old, new)
+        one, other, *third = (
+            read_chosen(path, segment=segment) for path in (old, new, repeat) if path
+        )
+        compared = compare(one, other, repeat=third[0] if third else None)
     with atomic_outputs():
         if output is not None:
             compared.write(output, overwrite=overwrite)
         if figure is not None:
             write_figure(compared.plot_map(), figure, overwrite=overwrite)
     written = (output, figure) if figure else (output,)
-    as_values = values(compared) if json else None
-    print_result(lines(compared), *written, values=as_values, schema="compare", quiet=quiet)
+    as_values, schema = values(compared) if json else None, schema_of("compare", compared)
+    print_result(lines(compared), *written, values=as_values, schema=schema, quiet=quiet)
 
 
 def run_track(

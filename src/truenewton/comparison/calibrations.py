@@ -7,7 +7,6 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from astropy.table import QTable
@@ -30,35 +29,28 @@ from truenewton.records.parts import Parts, has_parts
 from truenewton.statics.layout import Layout
 
 
-class Tabulated:
-    """A comparison whose columns are declared in ``COLUMNS``."""
+def write_table(table: QTable, path: str | os.PathLike[str], *, overwrite: bool) -> None:
+    """Write a table of changes; the name ends in .csv, or in .ecsv, which contains units.
 
-    COLUMNS: ClassVar[TableFormat]
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".csv", ".ecsv"):
+        remedy = "let it end in .csv or .ecsv"
+        raise OutputFailed("is no name for a table", remedy=remedy, path=path)
+    for column in table.itercols():
+        column.info.format = None  # all digits
+    with file_beside(path, overwrite=overwrite) as temporary:
+        table.write(temporary, format=f"ascii{suffix}")
 
-    @property
-    def table(self) -> QTable:
-        """The changes of all actuators, with units."""
-        return quantities(self, self.COLUMNS)
 
-    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the table of changes; the name ends in .csv, or in .ecsv, which contains units.
-
-        Raises
-        ------
-        OutputExists, OutputFailed
-        """
-        suffix, table = Path(path).suffix.lower(), self.table
-        if suffix not in (".csv", ".ecsv"):
-            remedy = "let it end in .csv or .ecsv"
-            raise OutputFailed("is no name for a table", remedy=remedy, path=path)
-        for column in table.itercols():
-            column.info.format = None  # all digits
-        with file_beside(path, overwrite=overwrite) as temporary:
-            table.write(temporary, format=f"ascii{suffix}")
+CHANGE = TableFormat("CHANGE", (ID, X, Y, Column("CHANGE", "relative"), Column("SIGMAS", "sigmas")))
 
 
 @dataclass(frozen=True, eq=False)
-class Change(Tabulated):
+class Change:
     """From one calibration to another, what is common to all actuators taken out.
 
     Attributes
@@ -83,11 +75,6 @@ class Change(Tabulated):
     array([], dtype=int64)
     """
 
-    COLUMNS: ClassVar = TableFormat(
-        "CHANGE",
-        (ID, X, Y, Column("CHANGE", "relative"), Column("SIGMAS", "sigmas")),
-    )
-
     one: AnyCalibration
     other: AnyCalibration
     ratio: float
@@ -108,6 +95,20 @@ class Change(Tabulated):
         size = np.nan_to_num(np.abs(self.sigmas))
         order = np.argsort(-size, kind="stable")
         return np.asarray(order[size[order] > self.limit])
+
+    @property
+    def table(self) -> QTable:
+        """The changes of all actuators, with units."""
+        return quantities(self, CHANGE)
+
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the table of changes as .csv, or as .ecsv, which contains units.
+
+        Raises
+        ------
+        OutputExists, OutputFailed
+        """
+        write_table(self.table, path, overwrite=overwrite)
 
     @property
     def layers(self) -> tuple[Layer, ...]:

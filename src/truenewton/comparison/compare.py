@@ -1,167 +1,76 @@
-"""What changed between two matrices of one mirror, and whether the stated errors are valid."""
+"""What changed between two states of one mirror, given by matrices, campaigns or calibrations."""
 
 from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
-from typing import ClassVar, overload
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, overload
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, spread
 from truenewton.calibration.result import AnyCalibration
 from truenewton.chance import FALSE_ALARM, t_isf
-from truenewton.comparison.calibrations import Change, Tabulated, compare_calibrations
-from truenewton.comparison.fit import ElementNoise, PairFit, fit_pair, rough_factors
-from truenewton.comparison.pairing import Pair, pair_matrices, rough_residual
+from truenewton.comparison.calibrations import Change, compare_calibrations
+from truenewton.comparison.fit import Noise, PairFit, fit_pair, rough_factors
+from truenewton.comparison.pairing import Pair, Side, pair_matrices, rough_residual
+from truenewton.comparison.result import Comparison
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.finding import Finding, Verdict, judged
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import balance_effects, orientation_effects
-from truenewton.figures.layers import Layer
-from truenewton.figures.style import on_screen
-from truenewton.files.format import Column, TableFormat
+from truenewton.modal.measured_stiffness import measured_stiffness
 from truenewton.reading import Read, holds_alpha, read
-from truenewton.records.file import ID, X, Y
+from truenewton.records.campaign import Campaign
+from truenewton.records.parts import Parts, refuse_other_mirror
 from truenewton.records.reader import AnyPath
+from truenewton.records.segmented import SegmentedData, refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
-from truenewton.statics.layout import Layout
 
 DERIVED_NOISE = 1e-6  # relative residual below which one matrix was computed from the other
 MAX_RESIDUAL = 0.1  # of the rms element: two matrices of different mirrors differ by more
-MAX_PATTERN = (
-    1.15  # largest singular value of n x n noise over 2 sqrt(n): 0.9 to 1.05 if it is noise
-)
 # Spread of the factors without transposition, relative to that with it: between two matrices of
 # one mirror the true factors are near 1, and alpha over sensor gain is not.
 TRANSPOSED_SPREAD_RATIO = 3.0
 MAX_NAMING_PASSES = 20
 
-
-CHANGES = TableFormat(
-    "CHANGE",
-    (
-        ID,
-        X,
-        Y,
-        Column("ALPHA", "alpha_ratio"),
-        Column("E_ALPHA", "alpha_ratio_error"),
-        Column("A_CHANGE", "alpha_changed", kind="bool"),
-        Column("GAIN", "sensor_ratio"),
-        Column("E_GAIN", "sensor_ratio_error"),
-        Column("G_CHANGE", "sensor_changed", kind="bool"),
-    ),
-)
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison(Tabulated):
-    """What changed from an old to a new stiffness matrix of one mirror.
-
-    Attributes
-    ----------
-    instrument
-        INSTRUME of the old matrix.
-    layout
-        The n actuators that both contain.
-    alpha_ratio, alpha_ratio_error
-        (n,) alpha of the new over that of the old matrix, relative to the mean of the actuators
-        that did not change, and its standard uncertainty.
-    sensor_ratio, sensor_ratio_error
-        (n,) the same of the sensor gains.
-    alpha_changed, sensor_changed
-        (n,) those that deviate from the population of the others (1 % false alarms in all).
-    alpha_scatter, sensor_scatter
-        Standard deviation of that population beyond the errors.
-    common, common_error
-        Mean of alpha_ratio times mean of sensor_ratio of those that did not change, which both were
-        divided by: the weight, Young's modulus, the gap or a unit cannot be told from it.
-    couplings
-        IDs of actuator and sensor of the elements that changed by themselves, and by how much,
-        relative to the geometric mean of the two diagonal elements.
-    noise_law, relative_noise
-        'elements' or 'modes'; rms difference that is not explained, relative to the rms element.
-    pattern
-        Largest singular value of the whitened residual over 2 sqrt(n): about 1 if it is noise.
-    pair
-        How actuators, rows and columns were matched.
-    converged
-        Whether the fit converged.
-
-    Examples
-    --------
-    >>> tn.compare(matrix_2025, matrix_2026).verdict.level
-    <Level.SOUND: 'sound'>
-    """
-
-    COLUMNS: ClassVar = CHANGES
-
-    instrument: str
-    layout: Layout
-    alpha_ratio: Array
-    alpha_ratio_error: Array
-    sensor_ratio: Array
-    sensor_ratio_error: Array
-    alpha_changed: NDArray[np.bool_]
-    sensor_changed: NDArray[np.bool_]
-    alpha_scatter: float
-    sensor_scatter: float
-    common: float
-    common_error: float
-    couplings: tuple[tuple[int, int, float], ...]
-    noise_law: str
-    relative_noise: float
-    pattern: float
-    pair: Pair
-    converged: bool
-
-    def plot_map(self, ax: Axes | None = None) -> Axes:
-        """Draw the change of alpha on the map of the actuators, and return the axes."""
-        change = 100.0 * (np.abs(self.alpha_ratio) - 1.0)
-        limit = float(np.percentile(np.abs(change), 98.0)) or 1.0
-        layer = Layer("alpha", "change of alpha", "%", change, "", centre=0.0, reach=limit)
-        with on_screen():
-            return layer.plot(self.layout, ax)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What limits the errors."""
-        found = []
-        if self.pattern > MAX_PATTERN:
-            found.append(Finding.of(Code.PAIR_PATTERN, pattern=self.pattern))
-        if not self.converged:
-            found.append(Finding.of(Code.PAIR_NOT_CONVERGED))
-        return tuple(found)
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether the stated errors are valid; a change is no fault."""
-        return judged(self.findings)
+Body = Campaign | StiffnessMatrix
 
 
 @overload
-def compare(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison: ...
+def compare(old: Body, new: Body, *, repeat: Read | AnyPath | None = None) -> Comparison: ...
 @overload
-def compare(old: AnyCalibration, new: AnyCalibration) -> Change: ...
+def compare(old: AnyCalibration, new: AnyCalibration, *, repeat: None = None) -> Change: ...
 @overload
-def compare(old: Read | AnyPath, new: Read | AnyPath) -> Comparison | Change: ...
-def compare(old: Read | AnyPath, new: Read | AnyPath) -> Comparison | Change:
-    """Return what changed between two stiffness matrices, or two calibrations, of one mirror.
+def compare(
+    old: SegmentedData, new: SegmentedData, *, repeat: Read | AnyPath | None = None
+) -> Parts[Comparison]: ...
+@overload
+def compare(
+    old: Read | AnyPath, new: Read | AnyPath, *, repeat: Read | AnyPath | None = None
+) -> Comparison | Parts[Comparison] | Change: ...
+def compare(
+    old: Read | AnyPath, new: Read | AnyPath, *, repeat: Read | AnyPath | None = None
+) -> Comparison | Parts[Comparison] | Change:
+    """Return what changed between two states of one mirror.
 
-    Two matrices show the change of each alpha and of each sensor gain without weights, balance or
-    symmetry, since the true stiffness cancels. A local change of the glass that resembles a product
-    of factors cannot be told from a change of alpha. Two calibrations show the same with the errors
-    of both, 2 to 100 times larger.
+    Two stiffness matrices, two campaigns with POSITION, or one of each show the change of each
+    alpha and of each sensor gain without weights, balance or symmetry, since the true stiffness
+    cancels. A local change of the glass that resembles a product of factors cannot be told from a
+    change of alpha. Two calibrations show the same with the errors of both, 2 to 100 times larger.
 
     Parameters
     ----------
     old, new
-        Before and after, or their paths. Actuators of matrices are matched by ID and position.
+        Before and after, or their paths. Actuators are matched by ID and position. A campaign needs
+        at least as many shapes as actuators; if it has a stiffness matrix, that is compared.
+    repeat
+        A further measurement of the same day as one of them: the errors then rest on the scatter of
+        these two.
 
     Raises
     ------
@@ -169,7 +78,7 @@ def compare(old: Read | AnyPath, new: Read | AnyPath) -> Comparison | Change:
         They are not of one mirror or not of one kind, a matrix is transposed or has the other sign,
         or one was computed from the other.
     RankDeficient
-        No segment has alpha in both calibrations.
+        The shapes of a campaign do not determine a stiffness, or no segment can be compared.
 
     Examples
     --------
@@ -180,73 +89,145 @@ def compare(old: Read | AnyPath, new: Read | AnyPath) -> Comparison | Change:
     >>> f"{moved.ratio:.2f}, and beside it {len(moved.changed)} actuators"
     '0.99, and beside it 0 actuators'
     """
-    pair = [read(each) if isinstance(each, (str, os.PathLike)) else each for each in (old, new)]
-    one, other = pair
-    if isinstance(one, StiffnessMatrix) and isinstance(other, StiffnessMatrix):
-        return compare_matrices(one, other)
-    if holds_alpha(one) and holds_alpha(other):
-        return compare_calibrations(one, other)
+    given = [
+        read(each) if isinstance(each, str | os.PathLike) else each
+        for each in (old, new, repeat)
+        if each is not None
+    ]
+    if len(calibrations := [each for each in given if holds_alpha(each)]) == len(given) == 2:
+        return compare_calibrations(*calibrations)
+    if len(bodies := [each for each in given if isinstance(each, Body)]) == len(given):
+        return _compare_bodies(bodies)
+    if len(parts := [each for each in given if isinstance(each, SegmentedData)]) == len(given):
+        return _compare_segments(parts)
     raise CampaignMismatch(
-        "only two stiffness matrices, or two calibrations, can be compared",
-        remedy="give two files of one kind; of a mirror in segments two calibrations",
+        "only stiffness matrices and campaigns, or two calibrations, can be compared",
+        remedy="give two files or folders of one kind, of all segments or of one",
     )
 
 
-def compare_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Comparison:
-    """Return what changed between two measured stiffness matrices of one mirror.
+def _compare_segments(data: Sequence[SegmentedData]) -> Parts[Comparison]:
+    """Compare the segments that all data contain."""
+    for each in data[1:]:
+        refuse_other_mirror(each, data[0], "the old data", "", "give data of one mirror")
+    alarm = FALSE_ALARM / len(data[0].numbers)
 
-    Raises
-    ------
-    CampaignMismatch
-        As of `compare`.
-    """
-    pair = pair_matrices(old, new)
+    def solver(number: int) -> Callable[[Body], Comparison]:
+        return lambda part: _compare_bodies(
+            [part, *(each.part(number) for each in data[1:])], alarm
+        )
+
+    return data[0].solved(solver, "a comparison")
+
+
+def _sides(data: Sequence[Body]) -> list[Side]:
+    """Return the stiffness of each, measured or by regression."""
+    measured = [
+        measured_stiffness(each) if isinstance(each, Campaign) and each.stiffness is None else None
+        for each in data
+    ]
+    residuals = np.array([each.residual for each in measured if each])
+    known = bool(np.isfinite(residuals).all())  # otherwise their noise is taken as equal
+    sides = []
+    for given, found in zip(data, measured, strict=True):
+        matrix = (
+            found.matrix if found else given.stiffness if isinstance(given, Campaign) else given
+        )
+        assert matrix is not None
+        refuse_segments(matrix)
+        scale = found.residual**2 if found and known else 1.0
+        sides.append(
+            Side(matrix, scale * found.inverse if found else np.zeros_like(matrix.stiffness))
+        )
+    return sides
+
+
+def _compare_bodies(data: Sequence[Body], alarm: float = FALSE_ALARM) -> Comparison:
+    """Compare old, new and perhaps a repeat of one body; ``alarm`` is the rate of false alarms."""
+    one, other, *third = _sides(data)
+    pair = pair_matrices(one, other)
     _refuse_processed(pair)
-    fit = fit_pair(pair.old, pair.new, pair.inflation)
-    n = pair.layout.n
-    names = [_changed(part, fit.signs[k], cov) for k, (part, cov) in enumerate(_halves(fit))]
-    ratios, errors, means = [], [], np.zeros(2 * n)
-    for k, (part, own_covariance) in enumerate(_halves(fit)):
-        weights = ~names[k].changed / np.count_nonzero(~names[k].changed)
-        about = np.eye(n) - weights
-        covariance = about @ own_covariance @ about.T
-        ratios.append(fit.signs[k] * np.exp(-about @ part))
-        errors.append(np.abs(ratios[k]) * np.sqrt(np.diag(covariance)))
-        means[k * n : (k + 1) * n] = weights
-    common = float(np.exp(-means @ np.concatenate([fit.a, fit.b])))
-    own = np.sqrt(np.abs(np.diag(pair.old)))
-    ids = pair.layout.id
-    couplings = tuple(
-        (int(ids[i]), int(ids[j]), float(size / (own[i] * own[j])))
-        for (i, j), size in zip(fit.couplings, fit.coupling_sizes, strict=True)
-    )
+    fit = fit_pair(pair.old, pair.new, pair.inflation, pair.covariance)
+    excess = math.nan
+    if third:
+        noise = _noise_of_repeat(pair, fit, one, third[0])
+        fit = fit_pair(pair.old, pair.new, pair.inflation, pair.covariance, noise)
+        free = 1.0 - 1.0 / pair.layout.n  # root of the share that factors do not absorb
+        excess = float(np.sqrt((fit.noise.whitened(fit.unchanged) ** 2).mean())) / free
+        fit = replace(fit, covariance=fit.covariance * max(1.0, excess) ** 2)
+    return _comparison(one.matrix, other.matrix, pair, fit, excess, alarm)
+
+
+def _comparison(
+    old: StiffnessMatrix,
+    new: StiffnessMatrix,
+    pair: Pair,
+    fit: PairFit,
+    excess: float,
+    alarm: float,
+) -> Comparison:
+    """Return the factors relative to the actuators that did not change."""
+    n, means, arrays = pair.layout.n, list[Array](), dict[str, Any]()
+    on = np.zeros(old.layout.n, dtype=bool)
+    on[pair.at] = True
+    for k, (name, part, own) in enumerate(
+        (("alpha", fit.a, fit.covariance[:n, :n]), ("sensor", fit.b, fit.covariance[n:, n:]))
+    ):
+        found = _changed(part, fit.signs[k], own, alarm)
+        means.append(~found.changed / np.count_nonzero(~found.changed))
+        about = np.eye(n) - means[k]
+        ratio = fit.signs[k] * np.exp(-about @ part)
+        error = np.abs(ratio) * np.sqrt(np.diag(about @ own @ about.T))
+        arrays |= {
+            f"{name}_ratio": spread(ratio, on),
+            f"{name}_ratio_error": spread(error, on),
+            f"{name}_changed": spread(found.changed.astype(float), on) == 1.0,
+            f"{name}_scatter": found.scatter,
+        }
+    mean = np.concatenate(means)
+    common = float(np.exp(-mean @ np.concatenate([fit.a, fit.b])))
+    diagonal, ids = np.sqrt(np.abs(np.diag(pair.old))), pair.layout.id
     whitened = fit.noise.whitened(fit.unchanged)
+    square = np.divide(*fit.noise.innovations(fit.unchanged)) ** 2
     return Comparison(
         instrument=old.instrument,
-        layout=pair.layout,
-        alpha_ratio=ratios[0],
-        alpha_ratio_error=errors[0],
-        sensor_ratio=ratios[1],
-        sensor_ratio_error=errors[1],
-        alpha_changed=names[0].changed,
-        sensor_changed=names[1].changed,
-        alpha_scatter=names[0].scatter,
-        sensor_scatter=names[1].scatter,
+        date=old.date,
+        date_end=new.date,
+        layout=replace(old.layout, enabled=on),
+        **arrays,
         common=common,
-        common_error=common * math.sqrt(means @ fit.covariance @ means),
-        couplings=couplings,
-        noise_law="elements" if isinstance(fit.noise, ElementNoise) else "modes",
+        common_error=common * math.sqrt(mean @ fit.covariance @ mean),
+        couplings=tuple(
+            (int(ids[i]), int(ids[j]), float(size / (diagonal[i] * diagonal[j])))
+            for (i, j), size in zip(fit.couplings, fit.coupling_sizes, strict=True)
+        ),
+        noise_law=fit.noise.name,
         relative_noise=float(np.sqrt((fit.residual**2).mean())) / fit.size,
         pattern=float(np.linalg.norm(whitened, 2)) / (2.0 * math.sqrt(n)),
-        pair=pair,
+        tails=float((square**2).mean() / square.mean() ** 2) - 3.0,
+        excess=excess,
+        matching=pair.matching,
         converged=fit.converged,
     )
 
 
-def _halves(fit: PairFit) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return a and b, each with its covariance."""
-    n = len(fit.a)
-    return (fit.a, fit.covariance[:n, :n]), (fit.b, fit.covariance[n:, n:])
+def _noise_of_repeat(pair: Pair, fit: PairFit, old: Side, repeat: Side) -> Noise:
+    """Return the noise of a repeat and the matrix of the same day, which it resembles more.
+
+    Both are multiplied by the factors that make the new matrix equal to the old one.
+    """
+    third = pair_matrices(old, repeat)
+    if not np.array_equal(third.at, pair.at):
+        raise CampaignMismatch(
+            "the repeat lacks actuators that both others contain, or has others",
+            remedy="give a repeat of the same actuators",
+        )
+    same = pair.old
+    repeated = third.new
+    if rough_residual(pair.new, repeated) < rough_residual(pair.old, repeated):
+        factors = fit.signs[0][:, None] * fit.signs[1] / np.exp(fit.a[:, None] + fit.b)
+        same, repeated = pair.new * factors, repeated * factors
+    return fit_pair(same, repeated, pair.inflation, pair.covariance).noise
 
 
 @dataclass(frozen=True)
@@ -257,7 +238,7 @@ class Deviations:
     scatter: float
 
 
-def _changed(values: Array, signs: Array, covariance: Array) -> Deviations:
+def _changed(values: Array, signs: Array, covariance: Array, alarm: float) -> Deviations:
     """Return which (n,) logarithms of factors deviate from the population of the others."""
     n = len(values)
     variance = np.diag(covariance) - 2.0 * covariance.mean(axis=0) + covariance.mean()
@@ -274,7 +255,7 @@ def _changed(values: Array, signs: Array, covariance: Array) -> Deviations:
         scatter = np.maximum(0.0, squares / (others - 1) - variance[kept].mean())
         sigmas = np.abs(centred - mean) / np.sqrt((variance + scatter) * (1.0 + 1.0 / others))
         # Half of the false alarms are left to couplings; two sides, rows and columns.
-        now = (signs != usual) | (sigmas > t_isf(FALSE_ALARM / 8 / n, others - 1))
+        now = (signs != usual) | (sigmas > t_isf(alarm / 8 / n, others - 1))
         if (now == changed).all():
             break
         changed = now

@@ -11,11 +11,14 @@ the score is the sum of u t / v over a row (a) or a column (b), and with W = t^2
 is [[diag(W 1), W], [W', diag(1'W)]]. Its null vector is (1, -1): r is determined up to a factor and
 q up to its inverse. The mean t of both matrices makes the score unbiased for equal noise.
 
-The variance v is one of two laws, whichever is more likely:
+The variance v is one of these laws, whichever is more likely:
 
 - elements: v_ij = rho_i gamma_j s_ij (A + B t_ij^2), with s_ij from condensation;
 - modes: u V has independent columns, v_ik = rho_i lambda_k, V the right singular vectors of K_1, as
-  in a matrix that was measured mode by mode.
+  in a matrix that was measured mode by mode;
+- shapes, if K_1 or K_2 is a regression of the shapes X of a campaign: U'u V is independent, v_kl =
+  rho_k lambda_l. The rows of K have the covariance sigma^2 (X'X)^-1, whose eigenvectors are V. U
+  are the left singular vectors of K_1, since noise e of the readings is K e in the forces.
 
 The logarithms of rho, gamma and lambda are shrunk towards their mean (empirical Bayes), because a
 row of 45 elements alone would determine its variance only to 20 %.
@@ -25,6 +28,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg
@@ -62,6 +66,8 @@ class ElementNoise:
     log_mix
         log of B t^2 / A for the median t^2.
     """
+
+    name: ClassVar = "elements"
 
     inflation: Array
     variance: Array
@@ -126,40 +132,42 @@ class ElementNoise:
 
 @dataclass(frozen=True, eq=False)
 class ModeNoise:
-    """Noise of a matrix that was measured mode by mode: independent columns of u V.
+    """Noise of a matrix or a campaign that was measured shape by shape: U'u V is independent.
 
     Attributes
     ----------
-    modes, sizes
-        (n, n) V and (n,) singular values of K_1, [N/m].
-    rows
-        (n,) rho.
-    variances
-        (n,) lambda of each mode [N^2/m^2].
+    name
+        'modes' or 'shapes'.
+    left, right
+        (n, n) U and V.
+    sizes
+        (n,) by which the noise of the columns of V increases, but for a power.
+    rows, variances
+        (n,) rho of each column of U, and lambda of each of V [N^2/m^2].
     leverage
-        (n, n) share of the variance of u V that the factors absorb.
+        (n, n) share of the variance of U'u V that the factors absorb.
     """
 
-    modes: Array
+    name: str
+    left: Array
+    right: Array
     sizes: Array
     rows: Array
     variances: Array
     leverage: Array
 
     @classmethod
-    def start(cls, one: Array, inflation: Array) -> ModeNoise:
-        """Return noise proportional to the singular values of (n, n) K_1."""
-        del inflation
-        _, sizes, transposed = linalg.singular_values_and_vectors(one)
-        sizes = np.maximum(sizes, MIN_RELATIVE_SIZE * sizes[0])
-        return cls(transposed.T, sizes, np.ones(len(one)), sizes**2, np.zeros_like(one))
+    def start(cls, name: str, left: Array, right: Array, sizes: Array) -> ModeNoise:
+        """Return noise proportional to ``sizes``."""
+        sizes = np.maximum(sizes, MIN_RELATIVE_SIZE * sizes.max())
+        return cls(name, left, right, sizes, np.ones(len(sizes)), sizes**2, np.zeros_like(left))
 
     def refitted(self, u: Array, t: Array) -> ModeNoise:
         """Return the likeliest law for (n, n) residuals u and mean t."""
         del t
         n = len(u)
         free = 1.0 - np.minimum(self.leverage, MAX_LEVERAGE)
-        square = (u @ self.modes) ** 2 / free
+        square = (self.left.T @ u @ self.right) ** 2 / free
         # The factors absorb most of the residual of stiff modes, which then say little of lambda.
         of_modes, of_rows = 2.0 / free.sum(axis=0), 2.0 / free.sum(axis=1)
         rows, logs = np.ones(n), np.log(self.sizes)
@@ -171,16 +179,21 @@ class ModeNoise:
         return replace(self, rows=rows, variances=variances)
 
     @cached_property
-    def _inverse(self) -> Array:
-        """(n, n) inverse of the covariance of a row of u with rho = 1."""
-        return np.asarray((self.modes / self.variances) @ self.modes.T)
+    def _inverses(self) -> tuple[Array, Array]:
+        """(n, n) inverse covariances of the columns and of the rows of u."""
+        left, right = (
+            np.asarray((vectors / variances) @ vectors.T)
+            for vectors, variances in ((self.left, self.rows), (self.right, self.variances))
+        )
+        return left, right
 
     def equations(self, u: Array, t: Array) -> tuple[Array, Array]:
         """Return the (2n,) score and the (2n, 2n) information of a and b."""
-        inverse, scaled = self._inverse, t / self.rows[:, None]
-        score, weight = scaled * (u @ inverse), scaled * (t @ inverse)
+        left, right = self._inverses
+        left_t, t_right = left @ t, t @ right
+        weight, score = left_t * t_right, t * (left @ u @ right)
         information = np.block(
-            [[np.diag(weight.sum(axis=1)), weight], [weight.T, (t.T @ scaled) * inverse]]
+            [[left * (t_right @ t.T), weight], [weight.T, right * (t.T @ left_t)]]
         )
         return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
 
@@ -189,35 +202,39 @@ class ModeNoise:
 
         The means over rows and over modes are exact; the elements follow as if of product form.
         """
-        n = len(t)
-        a, ab, b = np.diag(covariance)[:n], covariance[:n, n:], covariance[n:, n:]
-        scaled, t_modes = t / self.rows[:, None], t @ self.modes
-        shared = 2.0 * (t * ab) @ self.modes
-        own = t_modes * (a[:, None] * t_modes + shared) / self.rows[:, None]
-        of_modes = own.sum(axis=0) + np.einsum(
-            "jk,jk->k", self.modes, (b * (t.T @ scaled)) @ self.modes
+        n, (left, right) = len(t), self._inverses
+        a, ab, b = covariance[:n, :n], covariance[:n, n:], covariance[n:, n:]
+
+        def absorbed(t: Array, inverse: Array, own: Array, both: Array, other: Array) -> Array:
+            """Return (n, n) covariance of the changes of u, summed over its whitened columns."""
+            weighted = t @ inverse
+            shared = (weighted * both) @ t.T
+            return own * (weighted @ t.T) + t @ (other * inverse) @ t.T + shared + shared.T
+
+        of_rows, of_modes = (
+            np.einsum("ik,ik->k", vectors, changes @ vectors) / (n * variances)
+            for vectors, variances, changes in (
+                (self.left, self.rows, absorbed(t, right, a, ab, b)),
+                (self.right, self.variances, absorbed(t.T, left, b, ab.T, a)),
+            )
         )
-        of_modes /= n * self.variances
-        of_rows = (own / self.variances).sum(axis=1) + np.einsum(
-            "ij,ij->i", scaled, t @ (b * self._inverse)
-        )
-        of_rows /= n
         return replace(self, leverage=np.outer(of_rows, of_modes) / of_modes.mean())
 
     def innovations(self, u: Array) -> tuple[Array, Array]:
         """Return (n, n) by how much each element differs from the others' prediction, and error."""
-        inverse = self._inverse
-        own = np.diag(inverse)
-        return u @ inverse / own, np.sqrt(self.rows[:, None] / own)
+        left, right = self._inverses
+        own = np.outer(np.diag(left), np.diag(right))
+        return left @ u @ right / own, 1.0 / np.sqrt(own)
 
     def whitened(self, u: Array) -> Array:
         """Return (n, n) residuals of unit variance."""
-        return np.asarray(u @ self.modes / np.sqrt(self.rows[:, None] * self.variances))
+        return np.asarray(
+            self.left.T @ u @ self.right / np.sqrt(np.outer(self.rows, self.variances))
+        )
 
     def cost(self, u: Array) -> float:
         """Return -2 log likelihood of (n, n) residuals, but for a constant."""
-        n = len(u)
-        logs = n * np.log(self.rows).sum() + n * np.log(self.variances).sum()
+        logs = len(u) * (np.log(self.rows).sum() + np.log(self.variances).sum())
         return float((self.whitened(u) ** 2).sum() + logs)
 
 
@@ -294,8 +311,10 @@ class PairFit:
     converged: bool
 
 
-def fit_pair(one: Array, other: Array, inflation: Array) -> PairFit:
-    """Return the fit with the likelier of the noise laws.
+def fit_pair(
+    one: Array, other: Array, inflation: Array, covariance: Array, noise: Noise | None = None
+) -> PairFit:
+    """Return the fit with the likeliest of the noise laws.
 
     Couplings that changed by themselves do not count.
 
@@ -305,11 +324,14 @@ def fit_pair(one: Array, other: Array, inflation: Array) -> PairFit:
         (n, n) K_1 and K_2 of the same actuators in the same order [N/m].
     inflation
         (n, n) s, variance of an element relative to that of a matrix that was not condensed.
+    covariance
+        (n, n) of the elements of a row by regression, up to a factor; 0 without a campaign.
+    noise
+        The law with its variances, if they are known.
     """
     none = np.zeros((0, 2), dtype=np.int64)
-    fits = [
-        _iterated(law.start(one, inflation), one, other, none) for law in (ElementNoise, ModeNoise)
-    ]
+    laws, fixed = ([noise], True) if noise else (_laws(one, inflation, covariance), False)
+    fits = [_iterated(law, one, other, none, fixed=fixed) for law in laws]
     fit = min(fits, key=lambda fit: fit.cost)
     while True:
         sizes, errors = fit.noise.innovations(fit.unchanged)
@@ -318,7 +340,20 @@ def fit_pair(one: Array, other: Array, inflation: Array) -> PairFit:
         couplings = np.concatenate([fit.couplings, np.argwhere(far)])
         if not far.any() or len(couplings) > MAX_CHANGED_COUPLINGS * one.size:
             return fit
-        fit = _iterated(fit.noise, one, other, couplings)
+        fit = _iterated(fit.noise, one, other, couplings, fixed=fixed)
+
+
+def _laws(one: Array, inflation: Array, covariance: Array) -> list[Noise]:
+    """Return the laws that are possible for (n, n) K_1."""
+    left, sizes, right = linalg.singular_values_and_vectors(one)
+    laws: list[Noise] = [
+        ElementNoise.start(one, inflation),
+        ModeNoise.start("modes", np.eye(len(one)), right.T, sizes),
+    ]
+    if covariance.any():
+        values, vectors = np.linalg.eigh(covariance)
+        laws.append(ModeNoise.start("shapes", left, vectors, np.sqrt(np.maximum(values, 0.0))))
+    return laws
 
 
 def _unchanged(noise: Noise, u: Array, couplings: NDArray[np.int64]) -> Array:
@@ -344,8 +379,10 @@ def rough_factors(one: Array, other: Array) -> tuple[Array, Array]:
     return np.log(np.maximum(np.abs(factors), np.finfo(float).tiny)), signs
 
 
-def _iterated(noise: Noise, one: Array, other: Array, couplings: NDArray[np.int64]) -> PairFit:
-    """Return the fit by Newton's method; the law follows the residuals in the first steps."""
+def _iterated(
+    noise: Noise, one: Array, other: Array, couplings: NDArray[np.int64], *, fixed: bool
+) -> PairFit:
+    """Return the fit by Newton's method; a law that is not fixed follows the first residuals."""
     n = len(one)
     (a, b), signs = rough_factors(one, other)
     other = other * signs[0][:, None] * signs[1]
@@ -353,7 +390,7 @@ def _iterated(noise: Noise, one: Array, other: Array, couplings: NDArray[np.int6
     for step in range(MAX_STEPS):
         scaled = other / np.exp(a[:, None] + b)
         residual, t = scaled - one, 0.5 * (one + scaled)
-        if step < LAW_STEPS:
+        if step < LAW_STEPS and not fixed:
             noise = noise.refitted(_unchanged(noise, residual, couplings), t)
         score, information = noise.equations(_unchanged(noise, residual, couplings), t)
         covariance, logarithm = _pseudo_inverse(information)

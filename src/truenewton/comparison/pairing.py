@@ -9,8 +9,9 @@ recognised by their direction, which alpha does not change, and columns in the s
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,17 +34,28 @@ MAX_EXCHANGED_FRACTION = 0.1  # of the rows: beyond, all are in another order
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """Two matrices of the same n actuators in the same order.
+class Side:
+    """A stiffness matrix, measured directly or by a campaign.
 
     Attributes
     ----------
-    layout
-        Of the n actuators, from the old matrix.
-    old, new
-        (n, n) [N/m].
-    inflation
-        (n, n) variance of an element relative to that of matrices that were not condensed.
+    matrix
+        Of all actuators.
+    covariance
+        (n, n) of the elements of a row by the regression of a campaign, up to a factor that is
+        common to both sides; otherwise 0.
+    """
+
+    matrix: StiffnessMatrix
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How actuators, rows and columns of two matrices were matched.
+
+    Attributes
+    ----------
     only_old, only_new
         IDs of actuators that the other matrix does not contain.
     exchanged_rows, exchanged_columns
@@ -53,19 +65,62 @@ class Pair:
         IDs of actuators whose row or column resembles no other; both are removed by condensation.
     """
 
+    only_old: tuple[int, ...] = ()
+    only_new: tuple[int, ...] = ()
+    exchanged_rows: tuple[tuple[int, int], ...] = ()
+    exchanged_columns: tuple[tuple[int, int], ...] = ()
+    lost_rows: tuple[int, ...] = ()
+    lost_columns: tuple[int, ...] = ()
+
+    @property
+    def rows(self) -> tuple[tuple[str, int, int], ...]:
+        """Name of the attribute, actuator, and in whose place it is."""
+        return tuple(
+            (name, *(one if isinstance(one, tuple) else (one, one)))
+            for name, ids in vars(self).items()
+            for one in ids
+        )
+
+    @classmethod
+    def of(cls, rows: Iterable[tuple[str, int, int]]) -> Matching:
+        """Return the matching of such rows."""
+        found: dict[str, list[Any]] = {each.name: [] for each in fields(cls)}
+        for name, i, j in rows:
+            if name in found:
+                found[name].append((int(i), int(j)) if name.startswith("exchanged") else int(i))
+        return cls(**{name: tuple(ids) for name, ids in found.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two matrices of the same n actuators in the same order.
+
+    Attributes
+    ----------
+    at
+        (n,) rows of the actuators in the old matrix.
+    layout
+        Of the n actuators, from the old matrix.
+    old, new
+        (n, n) [N/m].
+    inflation
+        (n, n) variance of an element relative to that of matrices that were not condensed.
+    covariance
+        (n, n) sum of both sides.
+    matching
+        How they were matched.
+    """
+
+    at: NDArray[np.int64]
     layout: Layout
     old: Array
     new: Array
     inflation: Array
-    only_old: tuple[int, ...]
-    only_new: tuple[int, ...]
-    exchanged_rows: tuple[tuple[int, int], ...]
-    exchanged_columns: tuple[tuple[int, int], ...]
-    lost_rows: tuple[int, ...]
-    lost_columns: tuple[int, ...]
+    covariance: Array
+    matching: Matching
 
 
-def pair_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Pair:
+def pair_matrices(old: Side, new: Side) -> Pair:
     """Return two matrices of one mirror for the actuators that both contain.
 
     Raises
@@ -74,9 +129,9 @@ def pair_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Pair:
         They have few actuators in common, or their rows or columns are in another order than the
         actuators.
     """
-    of_old, of_new = _common(old, new)
+    of_old, of_new = _common(old.matrix, new.matrix)
     selected = _paired(old, new, of_old, of_new, _selected)
-    if selected.layout.n == old.layout.n == new.layout.n:
+    if len(selected.at) == old.matrix.layout.n == new.matrix.layout.n:
         return selected
     # A missing actuator exerted no force, or only its row and column were left out of the file.
     condensed_pair = _paired(old, new, of_old, of_new, _condensed)
@@ -84,41 +139,42 @@ def pair_matrices(old: StiffnessMatrix, new: StiffnessMatrix) -> Pair:
 
 
 def _paired(
-    old: StiffnessMatrix,
-    new: StiffnessMatrix,
+    old: Side,
+    new: Side,
     of_old: NDArray[np.int64],
     of_new: NDArray[np.int64],
-    take: Callable[[Array, NDArray[np.int64]], tuple[Array, Array]],
+    take: Callable[[Array, Array, NDArray[np.int64]], tuple[Array, Array, Array]],
 ) -> Pair:
     """Return both matrices for common actuators; ``take`` removes the others."""
-    layout = old.layout.part(of_old)
-    (k_old, inflation_old), (k_new, inflation_new) = (
-        take(old.stiffness, of_old),
-        take(new.stiffness, of_new),
-    )
+    k_old, inflation_old, covariance_old = take(old.matrix.stiffness, old.covariance, of_old)
+    k_new, inflation_new, covariance_new = take(new.matrix.stiffness, new.covariance, of_new)
     rows, lost_rows = _order(k_old, k_new, "rows")
     k_new = k_new[rows]
     reversed_rows = np.sign(np.einsum("ij,ij->i", k_old, k_new))  # would make columns differ
     columns, lost_columns = _order(k_old.T, (k_new * reversed_rows[:, None]).T, "columns")
-    k_new = k_new[:, columns]
+    k_new, covariance_new = k_new[:, columns], covariance_new[np.ix_(columns, columns)]
     inflation = 0.5 * (inflation_old + inflation_new[np.ix_(rows, columns)])
     kept = np.flatnonzero(~(lost_rows | lost_columns))
-    if len(kept) < layout.n:
-        k_old, more_old = take(k_old, kept)
-        k_new, more_new = take(k_new, kept)
+    if len(kept) < len(of_old):
+        k_old, more_old, covariance_old = take(k_old, covariance_old, kept)
+        k_new, more_new, covariance_new = take(k_new, covariance_new, kept)
         inflation = inflation[np.ix_(kept, kept)] * 0.5 * (more_old + more_new)
-    ids = layout.id
+    ids = old.matrix.layout.id[of_old]
     return Pair(
-        layout=layout.part(kept),
+        at=of_old[kept],
+        layout=old.matrix.layout.part(of_old[kept]),
         old=k_old,
         new=k_new,
         inflation=inflation,
-        only_old=_missing(old, of_old),
-        only_new=_missing(new, of_new),
-        exchanged_rows=_exchanged(ids, rows, lost_rows),
-        exchanged_columns=_exchanged(ids, columns, lost_columns),
-        lost_rows=tuple(int(i) for i in ids[lost_rows]),
-        lost_columns=tuple(int(i) for i in ids[lost_columns]),
+        covariance=covariance_old + covariance_new,
+        matching=Matching(
+            only_old=_missing(old.matrix, of_old),
+            only_new=_missing(new.matrix, of_new),
+            exchanged_rows=_exchanged(ids, rows, lost_rows),
+            exchanged_columns=_exchanged(ids, columns, lost_columns),
+            lost_rows=tuple(int(i) for i in ids[lost_rows]),
+            lost_columns=tuple(int(i) for i in ids[lost_columns]),
+        ),
     )
 
 
@@ -152,19 +208,23 @@ def _missing(matrix: StiffnessMatrix, common: NDArray[np.int64]) -> tuple[int, .
     return tuple(int(i) for i in matrix.layout.id[on])
 
 
-def _condensed(k: Array, common: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the stiffness of some actuators, in their order, and the inflation of variances."""
+def _condensed(
+    k: Array, covariance: Array, common: NDArray[np.int64]
+) -> tuple[Array, Array, Array]:
+    """Return stiffness of some actuators in their order, inflation of variances, covariance."""
     good = np.zeros(len(k), dtype=np.bool_)
     good[common] = True
     core, left, right = condensed(k, good)
     order = np.argsort(np.argsort(common))
     inflation = np.outer((left**2).sum(axis=1), (right**2).sum(axis=0))
-    return core[np.ix_(order, order)], inflation[np.ix_(order, order)]
+    every = core, inflation, right.T @ covariance @ right
+    return tuple(each[np.ix_(order, order)] for each in every)  # type: ignore[return-value]
 
 
-def _selected(k: Array, common: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the rows and columns of some actuators, and the inflation of variances, 1."""
-    return k[np.ix_(common, common)], np.ones((len(common), len(common)))
+def _selected(k: Array, covariance: Array, common: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Return rows and columns of some actuators, inflation of variances (1), covariance."""
+    at = np.ix_(common, common)
+    return k[at], np.ones((len(common), len(common))), covariance[at]
 
 
 def _order(old: Array, new: Array, what: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.summary import verdict_lines
-from truenewton.comparison.calibrations import Change
-from truenewton.comparison.compare import Comparison
+from truenewton.calibration.summary import as_sentences, verdict_lines
+from truenewton.comparison.calibrations import CHANGE, Change
+from truenewton.comparison.result import CHANGES, Comparison
 from truenewton.files.format import attributes, columns_by_name
+from truenewton.records.file import NZ
+from truenewton.records.parts import Parts, has_parts
+from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import counted, named, percent, row, with_error
 
 MAX_ROWS = 12  # of the table of actuators; the file contains all
@@ -21,19 +24,26 @@ UNDETECTABLE = (
 )
 
 
-def lines(c: Comparison | Change) -> Iterator[str]:
+def lines(c: Comparison | Parts[Comparison] | Change) -> Iterator[str]:
     """Yield what changed, the worst actuators, and whether the errors are valid."""
     if isinstance(c, Change):
         yield from _lines_of_calibrations(c)
         return
-    yield f"{c.instrument}: {counted(c.layout.n, 'actuator')} compared"
+    if has_parts(c):
+        for number in c.numbers:
+            if number in c.failed:
+                yield f"segment {number}: {as_sentences(c.failed[number][0])}"
+            else:
+                yield from lines(c.found[number])
+        return
+    yield f"{c.instrument}: {counted(int(c.layout.enabled.sum()), 'actuator')} compared"
     yield row("common factor", with_error(c.common, c.common_error), "alpha times sensor gain")
     for name, changed, scatter, errors in (
         ("alpha", c.alpha_changed, c.alpha_scatter, c.alpha_ratio_error),
         ("sensor gain", c.sensor_changed, c.sensor_scatter, c.sensor_ratio_error),
     ):
         count = counted(int(changed.sum()), "actuator") if changed.any() else "none"
-        error = percent(float(np.median(errors)))
+        error = percent(float(np.nanmedian(errors)))
         others = f"scatter of the others {percent(scatter)} (noise removed), error of one {error}"
         yield row(f"{name} changed", count, others)
     for actuator, sensor, size in c.couplings[:MAX_COUPLINGS]:
@@ -42,6 +52,8 @@ def lines(c: Comparison | Change) -> Iterator[str]:
     if len(c.couplings) > MAX_COUPLINGS:
         yield row("", f"and {counted(len(c.couplings) - MAX_COUPLINGS, 'coupling')} more")
     yield row("noise", percent(c.relative_noise), f"of the rms element, independent {c.noise_law}")
+    if np.isfinite(c.excess):
+        yield row("residual / repeat", f"{c.excess:.2f}", "1 if only factors changed")
     yield from _matching(c)
     yield from _table(c)
     yield from verdict_lines(c.verdict)
@@ -69,16 +81,16 @@ def _lines_of_calibrations(c: Change) -> Iterator[str]:
 def _matching(c: Comparison) -> Iterator[str]:
     """Yield how actuators, rows and columns were matched, if they differed."""
     for name, ids in (
-        ("only in the old matrix", c.pair.only_old),
-        ("only in the new matrix", c.pair.only_new),
-        ("no such row any more", c.pair.lost_rows),
-        ("no such column any more", c.pair.lost_columns),
+        ("only in the old matrix", c.matching.only_old),
+        ("only in the new matrix", c.matching.only_new),
+        ("no such row any more", c.matching.lost_rows),
+        ("no such column any more", c.matching.lost_columns),
     ):
         if ids:
             yield row(name, named("actuator", ids, MAX_ROWS), "not compared")
     for name, pairs in (
-        ("coil cables exchanged", c.pair.exchanged_rows),
-        ("sensor cables exchanged", c.pair.exchanged_columns),
+        ("coil cables exchanged", c.matching.exchanged_rows),
+        ("sensor cables exchanged", c.matching.exchanged_columns),
     ):
         if pairs:
             yield row(name, ", ".join(f"{i} in the place of {j}" for i, j in pairs[:MAX_ROWS]))
@@ -99,26 +111,40 @@ def _table(c: Comparison) -> Iterator[str]:
         yield f"  {c.layout.id[k]:<12}{alpha + marks[0]:<30}{gain + marks[1]}"
 
 
-def values(c: Comparison | Change) -> dict[str, Any]:
+def values(c: Comparison | Parts[Comparison] | Change) -> dict[str, Any]:
     """Return the same for a script."""
-    columns = [each.name.lower() for each in c.COLUMNS.columns]
+    if has_parts(c):
+        parts = [
+            {"segment": number}
+            | (values(c.found[number]) if number in c.found else {"faults": c.failed[number]})
+            for number in c.numbers
+        ]
+        return {"instrument": c.instrument, "segments": parts}
+    table = CHANGE if isinstance(c, Change) else CHANGES
+    names = [each.name.lower() for each in table.columns if each != NZ]
+    actuators = columns_by_name(c, table, *names)
     if isinstance(c, Change):
         return {
             "instrument": c.one.instrument,
             **attributes(c, "ratio", "ratio_error", "limit"),
-            "actuators": columns_by_name(c, c.COLUMNS, *columns),
+            "actuators": actuators,
             "changed": c.layout.id[c.changed],
         }
     return {
         **attributes(c, "instrument", "common", "common_error", "alpha_scatter", "sensor_scatter"),
-        **attributes(c, "noise_law", "relative_noise", "pattern"),
-        "actuators": columns_by_name(c, c.COLUMNS, *columns),
+        **attributes(c, "noise_law", "relative_noise", "pattern", "tails", "excess"),
+        "actuators": actuators,
         "couplings": [
             {"actuator": actuator, "sensor": sensor, "change": size}
             for actuator, sensor, size in c.couplings
         ],
-        **attributes(c.pair, "only_old", "only_new", "lost_rows", "lost_columns"),
-        **attributes(c.pair, "exchanged_rows", "exchanged_columns"),
+        **vars(c.matching),
         "undetectable": UNDETECTABLE,
         "verdict": c.verdict,
     }
+
+
+@summary_of.register(Comparison)
+def _summary(c: Comparison | Parts[Comparison]) -> Summary:
+    first, *others = lines(c)
+    return Summary(first, (), others)

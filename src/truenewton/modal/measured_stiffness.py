@@ -225,6 +225,8 @@ class MeasuredStiffness:
         complete; NaN if no shape is repeated or all shapes are needed.
     error
         (n, n) standard error of each element [N/m]; NaN without degrees of freedom.
+    inverse
+        (n, n) covariance of the elements of a row over ``residual`` squared [1/m^2].
     relative_error
         Norm of the expected error over that of the stiffness, without that of ``rigid_assumed``.
     rigid_assumed
@@ -242,13 +244,14 @@ class MeasuredStiffness:
     residual: float
     misfit: float
     error: Array
+    inverse: Array
     relative_error: float
     rigid_assumed: int
     rejected: tuple[RejectedRow, ...]
     warnings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
-        freeze(self, "error")
+        freeze(self, "error", "inverse")
 
 
 def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
@@ -353,8 +356,10 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     variance = max(left, key=np.sum) if left else np.full(n, np.nan)
     error = np.sqrt(np.outer(variance, np.diag(inverse)))
     on = np.ix_(layout.enabled, layout.enabled)
-    whole, whole_error = np.zeros((2, layout.n, layout.n))
+    whole, whole_error, whole_inverse = np.zeros((3, layout.n, layout.n))
     whole[on], whole_error[on] = k, error
+    unknown = vectors[:, ~held] / (MIN_AMPLITUDE * np.sqrt(values[-1]))
+    whole_inverse[on] = (inverse + unknown @ unknown.T) * sums.weight / sums.rows
     first = min(cycles, key=lambda cycle: cycle.date)
     return MeasuredStiffness(
         matrix=StiffnessMatrix(first.instrument, first.date, layout, whole),
@@ -363,6 +368,7 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
         residual=float(np.sqrt(variance.mean() * sums.rows / sums.weight)),
         misfit=float(left[1].sum() / left[0].sum()) if len(left) == 2 else float("nan"),
         error=whole_error,
+        inverse=whole_inverse,
         relative_error=float(np.linalg.norm(error) / np.linalg.norm(k)),
         rigid_assumed=int((~held).sum()),
         rejected=reader.rejected,

@@ -311,6 +311,7 @@ def by_number(made: Part | Parts[Part]) -> Mapping[int, Part]:
 
 def parts_from(file: FitsFile, kind: ResultKind[Part]) -> Parts[Part]:
     """Return the parts in a file."""
+    of_alpha = next(each for each in kind.actuators.columns if each.name == "ALPHA")
     alpha = TableFormat(kind.name, (Column("ALPHA", "alpha"),))
     form = kind.whole
     values = file.values(FileFormat(form.keywords, (*form.extensions, alpha)))
@@ -327,7 +328,7 @@ def parts_from(file: FitsFile, kind: ResultKind[Part]) -> Parts[Part]:
             raise error.changed(fault=f"of segment {number}, {error.fault}") from None
     with naming(file.path):
         made = Parts(values["instrument"], layout, found, failed=failed)
-    if not np.array_equal(made.column("alpha"), values["alpha"], equal_nan=True):
+    if not np.array_equal(value_of(made, of_alpha.attribute), values["alpha"], equal_nan=True):
         raise FormatError(
             "ALPHA is not that of the segments", remedy="make the file again", path=file.path
         )

@@ -30,6 +30,9 @@ FOREIGN = {  # extensions of files that cannot be calibrated: what the file is, 
     "TRACKING": Fault(
         "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
     ),
+    "CHANGES": Fault(
+        "is what `compare` wrote", "read it with read_comparison in Python, or give its data"
+    ),
     "CALIBRATION": Fault(
         "is a calibration file among others", "give it alone, or two calibrations to `report`{}"
     ),

@@ -478,6 +478,18 @@ ENTRIES: dict[Code, Entry] = {
         "check whether rigid-body modes or stiff modes were removed from one matrix, and whether"
         " the mirror, its gap or its temperature differed",
     ),
+    Code.PAIR_NOISE: _fact(
+        Level.DOUBTFUL,
+        "the noise has heavier tails than any of the noise laws: excess kurtosis {tails:.1f}",
+        "compare two matrices, or two campaigns, that were measured in the same way",
+    ),
+    Code.PAIR_EXCESS: _fact(
+        Level.DOUBTFUL,
+        "what factors of actuators and sensors leave is {excess:.1f} times as large as the scatter"
+        " of the repeat",
+        "check whether the glass changed, and whether temperature and noise were those of the"
+        " repeat",
+    ),
     Code.PAIR_NOT_CONVERGED: _fact(
         Level.DOUBTFUL,
         "the comparison did not converge",

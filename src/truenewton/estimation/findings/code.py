@@ -162,6 +162,8 @@ class Code(StrEnum):
     LAW_OF_REJECTED_DAY = "law-of-rejected-day"
     # Two matrices compared.
     PAIR_PATTERN = "pair-pattern"
+    PAIR_NOISE = "pair-noise"
+    PAIR_EXCESS = "pair-excess"
     PAIR_NOT_CONVERGED = "pair-not-converged"
     # Several segments; no alpha at all.
     OF_SEGMENTS = "of-segments"
