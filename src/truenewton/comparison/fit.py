@@ -158,7 +158,7 @@ class ModeNoise:
 
     @classmethod
     def start(cls, name: str, left: Array, right: Array, sizes: Array) -> ModeNoise:
-        """Return noise proportional to ``sizes``."""
+        """Return noise of the columns of (n, n) U and V proportional to (n,) sizes."""
         sizes = np.maximum(sizes, MIN_RELATIVE_SIZE * sizes.max())
         return cls(name, left, right, sizes, np.ones(len(sizes)), sizes**2, np.zeros_like(left))
 

@@ -240,6 +240,11 @@ KINDS[Comparison] = COMPARISONS
 def read_comparison(path: str | os.PathLike[str]) -> Comparison | Parts[Comparison]:
     """Read what `compare -o` wrote as FITS, of one body or of several segments.
 
+    Parameters
+    ----------
+    path
+        The comparison.
+
     Raises
     ------
     UnreadableFile, FormatError

@@ -115,8 +115,9 @@ def values(c: Comparison | Parts[Comparison] | Change) -> dict[str, Any]:
     """Return the same for a script."""
     if has_parts(c):
         parts = [
-            {"segment": number}
-            | (values(c.found[number]) if number in c.found else {"faults": c.failed[number]})
+            {"segment": number, **values(c.found[number])}
+            if number in c.found
+            else {"segment": number, "faults": [each._asdict() for each in c.failed[number]]}
             for number in c.numbers
         ]
         return {"instrument": c.instrument, "segments": parts}
