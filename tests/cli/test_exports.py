@@ -88,7 +88,7 @@ def test_another_suffix_is_refused_before_anything_is_read(calibration, inside, 
 def test_plots_of_a_result_are_figures_of_pyplot(calibration):
     findings, change = tn.investigate(calibration), tn.compare(calibration, calibration)
     calls = (
-        calibration.plot, calibration.plot_actuators, change.plot_map, change.plot_actuators,
+        calibration.plot, calibration.plot_actuators, change.plot, change.plot_actuators,
         lambda: findings.plot("map-leverage"),
     )  # fmt: skip
     for count, call in enumerate(calls, 1):

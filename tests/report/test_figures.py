@@ -30,7 +30,7 @@ def test_every_call_takes_axes_and_returns_them(p45_findings):
              "modes-residual", "modes-power", "modes-comparison", "map-leverage", "map-noise"
     )  # fmt: skip
     calls = [partial(p45_findings.plot, name) for name in names]
-    for call in (*calls, found.plot_map, found.plot_actuators):
+    for call in (*calls, found.plot, found.plot_actuators):
         ax = Figure().add_subplot()
         assert call(ax) is ax
     assert p45_findings.plot("budget").get_figure().get_figwidth() == pytest.approx(COLUMN)
@@ -97,7 +97,7 @@ def test_a_change_stands_with_its_name_beyond_the_band():
     [dots] = points(ax)
     assert np.max(dots.get_ydata()) == pytest.approx(12.0, rel=1e-6)
     assert [text.get_text() for text in ax.texts] == ["7"]
-    shown = found.plot_map().collections[1]
+    shown = found.plot().collections[1]
     assert shown.get_clim() == pytest.approx((-3 * found.limit, 3 * found.limit))
 
 

@@ -200,7 +200,7 @@ def run_compare(
         if output is not None:
             compared.write(output, overwrite=overwrite)
         if figure is not None:
-            write_figure(compared.plot_map(), figure, overwrite=overwrite)
+            write_figure(compared.plot(), figure, overwrite=overwrite)
     written = (output, figure) if figure else (output,)
     as_values, schema = values(compared) if json else None, schema_of("compare", compared)
     print_result(lines(compared), *written, values=as_values, schema=schema, quiet=quiet)

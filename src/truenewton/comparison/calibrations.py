@@ -126,7 +126,7 @@ class Change:
             alpha_layer(self.other, "alpha_other", "alpha, second"),
         )  # fmt: skip
 
-    def plot_map(self, ax: Axes | None = None) -> Axes:
+    def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas on the map of the actuators; return the axes."""
         with on_screen():
             return self.layers[0].plot(self.layout, ax)

@@ -115,10 +115,11 @@ class Comparison(Result):
         """The changes of all actuators."""
         return quantities(self, CHANGES, without=("NZ",))
 
-    def plot_map(self, ax: Axes | None = None) -> Axes:
-        """Draw the change of alpha on the map of the actuators, and return the axes."""
+    def plot(self, layer: str = "alpha", ax: Axes | None = None) -> Axes:
+        """Draw the change of 'alpha' or 'sensor' on the map of the actuators; return the axes."""
+        layers = {each.key: each for each in layers_of(self)}
         with on_screen():
-            return layers_of(self)[0].plot(self.layout, ax)
+            return layers[layer].plot(self.layout, ax)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
