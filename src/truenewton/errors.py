@@ -99,7 +99,7 @@ class NotToBeUsed(TrueNewtonError, ValueError):
 
 
 class TrueNewtonWarning(UserWarning):
-    """A calibration whose verdict is 'doubtful' or 'rejected'."""
+    """A verdict that is 'doubtful' or 'rejected', or positions and a weight that hardly fit."""
 
 
 class NotConverged(TrueNewtonError, ArithmeticError):

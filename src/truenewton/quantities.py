@@ -114,32 +114,27 @@ def check_quantities(record: object, inside: str = "") -> None:
                 check_quantities(value, f"{inside}{field.name}.")
 
 
-def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0) -> Any:
+def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0, has: Any = None) -> Any:
     """Return a number or (...,) numbers converted to a unit, as plain numbers; masks are kept.
 
-    ``value`` is a Quantity, a list of them, a column of a table, or plain numbers, which are
-    returned unchanged. ``of_mass`` is as of `Quantity`.
+    ``value`` is a Quantity, a text, a list of Quantities, a column of a table, or plain numbers in
+    the unit ``has``, which are returned unchanged without it. ``of_mass`` is as of `Quantity`.
 
     Raises
     ------
     FormatError
         The unit does not convert; the message contains ``name``.
     """
-    if isinstance(value, list | tuple) and any(getattr(one, "unit", None) for one in value):
-        import astropy.units as u
-
-        try:
-            value = u.Quantity(value)
-        except (u.UnitsError, TypeError):
-            raise other_unit(name, "several units", unit) from None
-    if isinstance(value, str):
+    listed = isinstance(value, list | tuple) and any(getattr(one, "unit", None) for one in value)
+    if listed or isinstance(value, str):
         import astropy.units as u
 
         try:
             value = u.Quantity(value)
         except (TypeError, ValueError):
-            raise other_unit(name, f"'{value}'", unit) from None
+            raise other_unit(name, "several units" if listed else f"'{value}'", unit) from None
     own = unit_of(value)
+    own = has if own is None else own
     if own is None:
         return value
     import astropy.units as u
@@ -188,6 +183,8 @@ def mask_of(value: Any) -> NDArray[np.bool_] | None:
 def unit_of(value: Any) -> Any:
     """Return the unit of numbers, of astropy or in ``attrs`` of xarray and pandas; or None."""
     if isinstance(attrs := getattr(value, "attrs", None), Mapping):
+        if hasattr(value, "iloc") and value.ndim == 2 and value.size:  # a DataFrame of Quantities
+            attrs = {"unit": getattr(value.iloc[0, 0], "unit", None), **attrs}
         return attrs.get("units", attrs.get("unit"))
     return getattr(value, "unit", None)
 

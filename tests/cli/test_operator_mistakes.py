@@ -109,12 +109,12 @@ def added(cycle, weight):
 NOT, LIMITED = ("rejected",), ("usable", "doubtful")
 REFUSED = (None,)
 IN_ORDER = "in the order of ACTUATORS, or leave it out"
-FORCE_IN, WEIGHTS_IN = "the unit that the column FORCE declares", "store WEIGHT and ADDED in N"
+FORCE_IN, WEIGHTS_IN = "correct the unit of FORCE where", "store WEIGHT and ADDED in N"
 FAULTS = {
     # units and signs, of all files
     "mN": (times(1e3), NOT, "alpha is about 0.0009", "FORCE looks as if in mN", FORCE_IN),
     "kN": (times(1e-3), NOT, "FORCE looks as if in kN, or WEIGHT and ADDED look as if in mN",
-           FORCE_IN),
+           "ADDED is about 910 times too large", FORCE_IN),
     "counts": (times(1e5), NOT, "as if in counts or volts of the electronics", FORCE_IN),
     "all in grams": (weights(101.97), NOT, "WEIGHT and ADDED look as if in g", WEIGHTS_IN),
     "the mirror in ADDED": (

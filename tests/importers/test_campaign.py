@@ -37,7 +37,6 @@ def written(folder, ending, changes):
                 file["run/FORCE"].attrs["unit"] = "N"
         else:
             long = wide.melt(["shape", "sign"], var_name="name", value_name="f")
-            long["coil"] = long.name.str[1:].astype(int)
             long.to_csv(path, index=False)
     text = example().replace('"298 g"', str(CAMPAIGN.weight)).replace("29.5 g", "-0.289 N")
     for load in CAMPAIGN.loads:
@@ -60,7 +59,7 @@ def written(folder, ending, changes):
             "txt",
             {'shape = "shape"': "shape = 1", 'sign = "sign"': "sign = 2", DEFAULT: "force = 3"},
         ),
-        ("long.csv", {DEFAULT: 'force = "f"\nactuator = "coil"'}),
+        ("long.csv", {DEFAULT: 'force = "f"\nactuator = "name"'}),
     ],
 )
 def test_files_of_a_campaign_become_cycle_files(tmp_path, inside, ending, changes):
@@ -82,9 +81,15 @@ def test_files_of_a_campaign_become_cycle_files(tmp_path, inside, ending, change
         ('"-0.289 N"', "0.289", "load 'ring': ADDED is 0.289 N; z points up"),
         ('"-0.289 N"', '"29 parrots"', "added is '29 parrots'; give a force or a mass with its"),
         ("F{id}", "G{id}", "bare-1.csv: there is no column 'G1'; name the columns of the file"),
+        ('added_error = "0.5 g"', "", "load 'ring' lacks 'added_error'"),
+        (
+            '# unit = "mm"',
+            'unit = "um"',
+            "are up to 0.1 mm from the axis, and the mirror weighs 2.9",
+        ),
         ("F{id}", "shape", "'shape' has shape (28,); give an array of rows by 14 actuators, or"),
         ("added_error", "added_errors", "'added_errors'; did you mean 'added_error'?"),
-        ("mN", "mn", "bare-1.csv: the unit of force is 'mn'; name a unit of N"),
+        ("mN", "mn", "bare-1.csv: FORCE is in mn; give it in N or a unit that converts to it"),
         ('files = ["bare-1.csv", "bare-2.csv"]', "files = []", "load 'bare' has no files"),
     ],
 )
@@ -92,3 +97,28 @@ def test_what_is_wrong_with_a_description_is_said_in_one_line(tmp_path, inside, 
     code, _, error = inside("import", written(tmp_path, "csv", {old: new}))
     assert code == 2
     assert words in error
+
+
+def test_centimetres_for_millimetres_are_doubted_and_options_of_a_matrix_refused(tmp_path, inside):
+    path = written(tmp_path, "csv", {'# unit = "mm"': 'unit = "cm"'})
+    code, out, _ = inside("import", path)
+    assert code == 0
+    assert "UNLIKELY  actuators are up to 1000 mm from the axis, and the mirror weighs" in out
+    code, _, error = inside("import", path, "positions.csv", "--transpose")
+    assert code == 2
+    assert "POSITIONS and --transpose are for a matrix; leave it out, " in error
+
+
+def test_segments_are_described_one_by_one_with_text_ids_in_any_order(tmp_path, inside):
+    path = written(tmp_path, "csv", {})
+    places = pd.read_csv(tmp_path / "positions.csv").iloc[::-1]
+    places["ID"] = "F" + places.ID.astype(str)
+    places.assign(SEGMENT=1).to_csv(tmp_path / "positions.csv", index=False)
+    assert inside("import", path, "-o", tmp_path / "made")[0] == 0
+    layout = tn.read(tmp_path / "made").layout
+    assert np.array_equal(layout.id, IDS[::-1])
+    assert np.array_equal(layout.segment, np.ones(IDS.size))
+    places.assign(SEGMENT=1 + np.arange(IDS.size) // 7).to_csv(tmp_path / "positions.csv")
+    code, _, error = inside("import", path)
+    assert code == 2
+    assert "has actuators of 2 segments, which balance separately; describe each" in error

@@ -1,5 +1,7 @@
 """Campaigns from arrays and long tables are those of the same cycles."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pandas as pd
@@ -7,7 +9,7 @@ import pytest
 
 import truenewton as tn
 from helpers.balanced import campaign_of
-from truenewton.errors import FormatError
+from truenewton.errors import CampaignMismatch, FormatError, TrueNewtonWarning
 
 CAMPAIGN = campaign_of(seed=3, noise=1e-4, disabled=(5,))[0]
 LAYOUT = CAMPAIGN.layout
@@ -32,9 +34,55 @@ def test_arrays_make_a_campaign():
     np.testing.assert_allclose(tn.calibrate(made).alpha, alpha, rtol=1e-6)
     dates = [cycle.date for cycle in made]
     assert dates == sorted(set(dates))  # one after the other
-    wrong = {RING: [{**LOADS[RING][0], "forces": 0}]}
-    with pytest.raises(FormatError, match="load 'ring', cycle 1: 'forces' is unknown; choose time"):
-        tn.Campaign.from_arrays("TEST", LAYOUT, *WEIGHTS, wrong)
+
+
+@pytest.mark.parametrize(
+    ("loads", "words"),
+    [
+        ({RING: [{**LOADS[RING][0], "forces": 0}]}, "ring', cycle 1: 'forces' is unknown; choose"),
+        ({"ring": LOADS[RING]}, "loads has 'ring', which is no Load; give tn.Load"),
+        ([RING], "loads is no dictionary; give {load: .cycle, "),
+        ({RING: [(1, 2)]}, "a cycle of load 'ring' is <class 'tuple'>; give a dictionary"),
+    ],
+)
+def test_what_is_wrong_with_arrays_is_said_in_one_line(loads, words):
+    with pytest.raises(FormatError, match=words):
+        tn.Campaign.from_arrays("TEST", LAYOUT, *WEIGHTS, loads)
+
+
+def test_pandas_with_units_and_positions_of_each_actuator_in_a_row():
+    """A pandas table keeps its unit if it is multiplied by one, a column loses it: units."""
+    places = pd.DataFrame({"x": LAYOUT.x, "y": LAYOUT.y}) * 1e3
+    run, other = LOADS[BARE][0], {"enabled": LAYOUT.enabled}
+    force = pd.DataFrame(1e3 * run["force"])
+    of_units = {"force": "mN", "positions": "mm"}
+    plain = tn.Campaign.from_arrays("T", places, *WEIGHTS, {BARE: {**run, "force": force}},
+                                    units=of_units, **other)  # fmt: skip
+    with_unit = tn.Campaign.from_arrays(
+        "T", places * u.mm, *WEIGHTS, {BARE: {**run, "force": force * u.mN}}, **other
+    )
+    for made in (plain, with_unit):
+        np.testing.assert_allclose(made.cycles[0].force, run["force"], rtol=1e-12)
+        np.testing.assert_allclose(made.layout.y, LAYOUT.y, rtol=1e-12)
+    with pytest.warns(TrueNewtonWarning, match="are up to 1000 mm from the axis, and the mirr"):
+        tn.Campaign.from_arrays(
+            "T", places, *WEIGHTS, {BARE: run}, **other, units={"positions": "cm"}
+        )
+
+
+def test_segments_are_campaigns_of_their_own():
+    part = replace(LAYOUT, segment=1 + (LAYOUT.id > 7))
+    with pytest.raises(
+        CampaignMismatch, match=r"layout has 2 segments, .*; make a campaign of each"
+    ):
+        tn.Campaign.from_arrays("TEST", part, *WEIGHTS, LOADS)
+    cycles = []
+    for k in (1, 2):
+        own = part.segment == k
+        runs = [{**run, "force": run["force"][:, own]} for run in LOADS[BARE]]
+        cycles += tn.Campaign.from_arrays("TEST", part.part(own), *WEIGHTS, {BARE: runs})
+    both = tn.SegmentedData(tuple(cycles))
+    assert both.numbers == (1, 2)
 
 
 def test_weights_may_be_masses_and_have_a_sign():
@@ -68,11 +116,28 @@ NAMES = {"columns": {"shape": "mode", "force": "mN"}, "units": {"force": "mN"}}
 
 
 def test_a_long_table_makes_a_campaign():
-    made = tn.Campaign.from_dataframe(long_table(), "TEST", LAYOUT, *WEIGHTS, [BARE, RING], **NAMES)
+    table = long_table()
+    table["actuator"] = "F" + table.actuator.astype(str)
+    made = tn.Campaign.from_dataframe(table, "TEST", LAYOUT, *WEIGHTS, [BARE, RING], **NAMES)
     for one, other in zip(made, CAMPAIGN, strict=True):
         order = np.argsort(one.time)
         assert np.array_equal(one.shape[order], other.shape)
         np.testing.assert_allclose(one.force[order], other.force, rtol=1e-14)
+
+
+def test_a_table_with_a_column_for_each_actuator_makes_a_campaign():
+    """As most laboratories have it: F1, F2, ... of one reading in a row."""
+    parts = []
+    for c in CAMPAIGN:
+        forces = pd.DataFrame(1e3 * c.force, columns=[f"F{i}" for i in LAYOUT.id])
+        parts.append(forces.assign(load=c.load.name, cycle=c.number, shape=c.shape, sign=c.sign))
+    table, units = pd.concat(parts), {"force": "mN"}
+    given = (table, "TEST", LAYOUT, *WEIGHTS, [BARE, RING])
+    made = tn.Campaign.from_dataframe(*given, columns={"force": "F{id}"}, units=units)
+    for one, other in zip(made, CAMPAIGN, strict=True):
+        np.testing.assert_allclose(one.force, other.force, rtol=1e-14)
+    with pytest.raises(FormatError, match=r"no column 'actuator'; .* columns={'force': 'F{id}'}"):
+        tn.Campaign.from_dataframe(*given, units=units)
 
 
 @pytest.mark.parametrize(

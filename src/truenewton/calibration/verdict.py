@@ -281,10 +281,8 @@ def _graver(c: Calibration, about: Collection[Concern]) -> Iterator[Finding]:
 NO_ERROR = 1e-6  # of the common scale; no weight is known better
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 GRAVITY = 9.81  # [m/s^2]
-FORCE_IN = "correct the unit that the column FORCE declares, or convert its values to N"
+FORCE_IN = "correct the unit of FORCE where it is declared, or convert its values to N"
 WEIGHTS_IN = f"store WEIGHT and ADDED in N: {-GRAVITY} for a kilogram"
-
-
 POUND = 4.4482216  # [N], of force
 FORCE_UNITS = {  # alpha that each unit of FORCE makes of 1
     "uN": 1e-6, "mN": 1e-3, "gf (grams)": 1e-3 * GRAVITY, "lbf (pounds)": POUND,
@@ -317,6 +315,8 @@ def unit_fault(c: Calibration) -> Finding | None:
     remedy = "; or ".join(dict.fromkeys(fitting.values())) or FORCE_IN
     looks += ", and FORCE of the other sign" if median < 0.0 else ""
     if c.scale == Scale.WEIGHTS:
+        times = f"{significant(max(abs(median), 1 / abs(median)))} times too"
+        looks += f", or ADDED is about {times} {'large' if abs(median) > 1.0 else 'small'}"
         looks += f", or {ONE_LOAD_FROM_REST}"
     return Finding.of(
         Code.ALPHA_FAR_FROM_ONE, alpha=significant(median), looks=looks, remedy=remedy

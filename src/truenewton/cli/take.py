@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -17,6 +17,7 @@ from truenewton.cli import options
 from truenewton.cli.terminal import Bar, busy, print_result, say
 from truenewton.errors import BenchFault, OutputExists
 from truenewton.files.outputs import file_beside, refuse_existing
+from truenewton.rounding import listed
 
 if TYPE_CHECKING:
     from truenewton.acquisition.taker import Progress
@@ -102,7 +103,7 @@ def run_acquire(
     from truenewton.acquisition.plan import read_plan
     from truenewton.bench.protocol import Operator
     from truenewton.bench.simulated.truth import truth_path
-    from truenewton.rounding import counted, listed
+    from truenewton.rounding import counted
 
     wanted, beside = read_plan(plan), plan.parent
     wanted = wanted if segment is None else replace(wanted, segment=segment)
@@ -248,7 +249,16 @@ def run_import(
         return
     if matrix is None:
         raise typer.BadParameter("give a matrix, the description of a campaign, or --example")
+    of_matrix: dict[str, Any] = {
+        "unit": unit, "lengths": lengths, "curvature": curvature, "arc": arc, "mirror": mirror,
+        "ids": ids, "exclude": exclude, "dataset": dataset, "shell": shell, "transpose": transpose,
+        "date": date, "instrument": instrument,
+    }  # fmt: skip
     if matrix.suffix.lower() == ".toml":
+        names = ["POSITIONS"] if coordinates else []
+        if names := names + [f"--{name}" for name, value in of_matrix.items() if value]:
+            fault = f"{listed(names, 9)} {'are' if len(names) > 1 else 'is'} for a matrix"
+            raise typer.BadParameter(f"{fault}; leave it out, {matrix} describes all")
         _import_campaign(matrix, output, overwrite=overwrite, json=json, quiet=quiet)
         return
     from truenewton.importers.importing import stiffness_from
@@ -259,22 +269,12 @@ def run_import(
     refuse_existing(output, overwrite=overwrite)
     by_file = ids is not None and Path(ids).is_file()
     with busy("importing"), _suggesting_mirror():
-        made = stiffness_from(
-            matrix,
-            coordinates,
-            unit=unit,
-            lengths=lengths,
-            curvature=curvature,
-            arc=arc,
-            mirror=None if mirror is None else mirror_from(mirror),
-            ids=ids if ids is None or by_file else options.ids(ids, "--ids"),
-            exclude=options.ids(exclude, "--exclude"),
-            dataset=dataset,
-            shell=shell,
-            transpose=transpose,
-            date=date,
-            instrument=instrument,
-        )
+        of_matrix |= {
+            "mirror": None if mirror is None else mirror_from(mirror),
+            "ids": ids if ids is None or by_file else options.ids(ids, "--ids"),
+            "exclude": options.ids(exclude, "--exclude"),
+        }
+        made = stiffness_from(matrix, coordinates, **of_matrix)
         if output is not None:
             write_stiffness(made.matrix, output, overwrite=overwrite)
     _print_matrix(made, output, transpose=transpose, json=json, quiet=quiet)

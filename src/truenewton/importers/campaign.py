@@ -19,13 +19,12 @@ from truenewton.importers.stored import Item, Stored, read_stored
 from truenewton.quantities import in_unit
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
-from truenewton.records.tables import wide_rows
+from truenewton.records.tables import MATRICES, check_size, wide_rows
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
 from truenewton.statics.load import GRAVITY, Load
 
 GRADIENTS = ("coil_gradient", "bias_gradient")
-MATRICES = ("force", "position")  # with a value for each actuator
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class LoadFiles:
     name: str
     files: tuple[str, ...]
     added: float | str = 0.0
-    added_error: float | str = 0.0
+    added_error: float | str | None = None
     tool: str | None = None
     tilt: float = 0.0
     tilt_error: float = 0.0
@@ -108,17 +107,15 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
     """
     described = filled(CampaignFiles, read_toml(path), path)
     folder = Path(path).parent
-    actuators, unit = _layout_from(folder, described.positions)
+    actuators, notes = _layout_from(folder, described.positions)
     with naming(path):
         loads = [_load_of(one) for one in described.loads]
         weight, error = (_weight(getattr(described, n), n) for n in ("weight", "weight_error"))
         more = {n: getattr(described, n) for n in ("gap", "force_error", *GRADIENTS)}
     runs: dict[Load, list[dict[str, Any]]] = {}
-    radii = 1e3 * np.hypot(actuators.x, actuators.y)
     lines = [
         f"{described.instrument}: {actuators.n} actuators, weight {_newtons(weight, error)}",
-        f"  positions {unit}, {radii.min():.4g} to {radii.max():.4g} mm from the axis:"
-        f" {described.positions.file}",
+        f"  positions {', '.join(notes)}: {described.positions.file}",
         *(
             f"  load {load.name}: {_newtons(load.added, load.added_error)} added"
             for load in loads
@@ -141,6 +138,8 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
             described.instrument, actuators, weight, error, runs,
             date=_date(described, folder), **more,
         )  # fmt: skip
+        if doubt := check_size(actuators, made.weight):
+            lines.insert(2, f"  UNLIKELY  {doubt}")
     return made, tuple(lines)
 
 
@@ -150,13 +149,23 @@ def _newtons(weight: Any, error: Any) -> str:
     return f"{-abs(weight):.4g} ± {abs(error):.2g} N"
 
 
-def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, str]:
-    """Return the layout in a file of positions, and a text on their unit."""
+def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, tuple[str, ...]]:
+    """Return the layout in a file of positions, and texts on what was found."""
     path = folder / given.file
     with naming(path):
         found = read_positions(path)
         at = in_metres(found, Surface(given.unit or None, given.curvature, given.arc))
-        return layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled), at.notes[0]
+        notes = (
+            at.notes if at.ids is not None else (*at.notes, "numbered from 1, as there is no ID")
+        )
+        made = layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled, segment=at.segment)
+        if made.segments:
+            raise FormatError(
+                f"has actuators of {len(made.segments)} segments, which balance separately",
+                remedy="describe each segment in a TOML file, with its positions and weights, and"
+                " calibrate the folders together",
+            )
+        return made, notes
 
 
 def _date(described: CampaignFiles, folder: Path) -> datetime.datetime:
@@ -182,7 +191,11 @@ def _load_of(given: LoadFiles) -> Load:
     """Return the load of some files."""
     if not given.files:
         raise FormatError(f"load '{given.name}' has no files", remedy="give a file for each cycle")
-    weights = {name: _weight(getattr(given, name), name) for name in ("added", "added_error")}
+    if given.added_error is None and given.added:
+        raise FormatError(f"load '{given.name}' lacks 'added_error'", remedy="add it")
+    weights = {
+        name: _weight(getattr(given, name) or 0.0, name) for name in ("added", "added_error")
+    }
     return Load(
         given.name, **weights, tool=given.tool, tilt=given.tilt, tilt_error=given.tilt_error
     )
@@ -199,14 +212,9 @@ def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) ->
             item = _matrix_in(stored, wanted, actuators)
         else:
             item = _column_in(stored, wanted)
-        unit = item.unit or getattr(described.units, name, "")
-        kind = Cycle.QUANTITIES.get(name)
-        try:
-            with_unit = u.Quantity(item.values, unit) if unit and kind is not None else item.values
-        except (TypeError, ValueError):
-            remedy = f"name a unit of {kind.unit if kind else ''}, as in `import --example`"
-            raise FormatError(f"the unit of {name} is '{unit}'", remedy=remedy) from None
-        values[name] = in_unit(with_unit, kind.unit, name) if kind is not None else with_unit
+        values[name] = item.values
+        if unit := item.unit or getattr(described.units, name, ""):
+            values[name] = in_unit(item.values, Cycle.QUANTITIES[name].unit, name, has=unit)
     if "valid" in values:
         values["valid"] = values["valid"] != 0.0
     for name in ("shape", "sign"):

@@ -41,7 +41,7 @@ class Positions:
     ----------
     x, y, unit
         (n,) in a unit; '' if the file declares none.
-    ids, nz, enabled
+    ids, nz, enabled, segment
         (n,) or None; NZ is the cosine between force and +z.
     columns
         Names of all columns of numbers in the file, if they have names.
@@ -55,6 +55,7 @@ class Positions:
     ids: NDArray[np.int64] | None = None
     nz: Any = None
     enabled: NDArray[np.bool_] | None = None
+    segment: NDArray[np.int64] | None = None
     columns: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -62,7 +63,7 @@ class Positions:
         """Return the positions of some rows."""
         some: dict[str, Any] = {
             name: None if (values := getattr(self, name)) is None else np.asarray(values)[rows]
-            for name in ("x", "y", "nz", "ids", "enabled")
+            for name in ("x", "y", "nz", "ids", "enabled", "segment")
         }
         return replace(self, **some)
 
@@ -168,7 +169,7 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
         return None
     x, y = known["x"], known["y"]
     numbers = [known[n].values for n in ID_NAMES if n in known and _integers(known[n].values)]
-    nz, enabled = known.get("nz"), known.get("enabled")
+    nz, enabled, segment = (known.get(name) for name in ("nz", "enabled", "segment"))
     if y.unit != x.unit:
         raise FormatError(f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit")
     return Positions(
@@ -178,6 +179,7 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
         numbers[0].astype(np.int64) if numbers else None,
         None if nz is None else nz.values,
         None if enabled is None else enabled.values != 0,
+        None if segment is None else segment.values.astype(np.int64),
         tuple(columns),
     )
 
@@ -246,7 +248,8 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
         unit, how = _likeliest_unit(x, y), "by their size"
     factor = _factor(unit, "m", "positions")
     x, y = x * factor, y * factor
-    notes, nz = [f"{unit} {how}"], positions.nz
+    far, nz = 1e3 * np.hypot(x, y), positions.nz
+    notes = [f"{unit} {how}", f"{np.nanmin(far):.4g} to {np.nanmax(far):.4g} mm from the axis"]
     if curvature is not None:
         if not 0.0 < curvature < np.inf:
             raise FormatError(
@@ -264,7 +267,7 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
         x, y, nz = x * shrunk, y * shrunk, np.sqrt(1.0 - sine**2)
         notes.append(f"R {curvature:g} m{', radii along the surface' if arc else ''}")
     elif nz is None:
-        notes.append("NZ 1, a flat mirror (--curvature R for another)")
+        notes.append("NZ 1, a flat mirror (give the curvature of another)")
     if nz is not None:
         notes.append(f"NZ {np.nanmin(nz):.4f} .. {np.nanmax(nz):.4f}")
     return replace(positions, x=x, y=y, unit="m", nz=nz, notes=tuple(notes))

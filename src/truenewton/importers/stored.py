@@ -26,6 +26,7 @@ from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
 from truenewton.files.hdf5 import import_h5py, unit_of
 from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain, refuse_too_large
+from truenewton.records.tables import numbers_of_labels
 from truenewton.rounding import counted
 
 COMMENT = "#;%!"
@@ -309,8 +310,9 @@ def _typed(sizes: str, lines: list[str]) -> NDArray[Any]:
 
 def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
     rows = _alike(lines, between)
+    words = list(zip(*rows, strict=True))
     columns: list[NDArray[Any] | None] = []
-    for cells in zip(*rows, strict=True):
+    for cells in words:
         sound = all(not cell or NUMBER.fullmatch(cell) for cell in cells)
         columns.append(np.array([_float(cell) for cell in cells]) if sound else None)
     if not any(column is not None for column in columns):
@@ -318,7 +320,11 @@ def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
     named = {}
     every = len(_cells(lines[0].text, between))  # an empty last column, too
     if len(names) == every or (len(names) >= len(columns) and not any(names[len(columns) :])):
-        named = {n: c for n, c in zip(names, columns, strict=False) if n and c is not None}
+        labels = (
+            c if c is not None else numbers_of_labels(w)
+            for c, w in zip(columns, words, strict=True)
+        )
+        named = {n: c for n, c in zip(names, labels, strict=False) if n and c is not None}
     numbers = [column for column in columns if column is not None]
     labelled = columns[0] is None and len(numbers) == len(columns) - 1 == len(rows) > 2
     if len(numbers) < len(columns) and not labelled:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
-from truenewton.errors import CampaignMismatch
+from truenewton.errors import CampaignMismatch, TrueNewtonWarning
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.records.tables import cycles_from_arrays, cycles_in_table, layout_of
+from truenewton.records.tables import check_size, cycles_from_arrays, cycles_in_table, layout_of
 from truenewton.rounding import counted, html_table, with_error
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
@@ -64,11 +65,12 @@ class Campaign:
     def from_arrays(
         cls,
         instrument: str,
-        positions: Layout | tuple[ArrayLike, ArrayLike],
+        positions: Layout | ArrayLike | tuple[ArrayLike, ArrayLike],
         weight: Any,
         weight_error: Any,
         loads: Mapping[Load, Sequence[Mapping[str, Any]]],
         *,
+        units: Mapping[str, str] = MappingProxyType({}),
         enabled: ArrayLike | None = None,
         date: datetime.datetime | None = None,
         **more: Any,
@@ -84,7 +86,8 @@ class Campaign:
         instrument
             Name of the mirror.
         positions, enabled
-            A layout, or a pair of (n,) x and y [m]; (n,) false for actuators that give no force.
+            A layout, a pair of (n,) x and y, or (n, 2) positions [m]; (n,) false for actuators
+            that give no force.
         weight, weight_error
             Weight of the mirror and its standard uncertainty.
         loads
@@ -92,6 +95,8 @@ class Campaign:
             ``shape`` (N,) from 1, ``sign`` (N,) +1 or -1. Optional are ``position`` (N, n) [m],
             ``temperature`` (N,) [deg C], ``valid`` (N,), true by default, ``time`` (N,) [s] or
             dates, by default one reading a second, ``date`` and ``number``.
+        units
+            Units of arrays and positions without one: ``{"force": "mN", "positions": "mm"}``.
         date
             Start of the first cycle (UTC), by default now. A cycle without a date of its own
             begins after the one before.
@@ -101,6 +106,11 @@ class Campaign:
         Raises
         ------
         FormatError, GeometryError, CampaignMismatch
+
+        Warns
+        -----
+        TrueNewtonWarning
+            Positions and weight hardly fit together, so that a unit may be wrong.
 
         Examples
         --------
@@ -114,16 +124,25 @@ class Campaign:
         ... )
         <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
         """
-        mirror = {"instrument": instrument, "layout": layout_of(positions, enabled), **more}
+        actuators = layout_of(positions, enabled, units.get("positions"))
+        if actuators.segments:
+            raise CampaignMismatch(
+                f"the layout has {len(actuators.segments)} segments, which balance separately",
+                remedy="make a campaign of each, and calibrate SegmentedData of all their cycles",
+            )
+        mirror = {"instrument": instrument, "layout": actuators, **more}
         mirror |= {"weight": weight, "weight_error": weight_error}
-        return cls(tuple(cycles_from_arrays(mirror, loads, date)))
+        made = cls(tuple(cycles_from_arrays(mirror, loads, date, units)))
+        if doubt := check_size(actuators, made.weight):
+            warnings.warn(f"{instrument}: {doubt}", TrueNewtonWarning, stacklevel=2)
+        return made
 
     @classmethod
     def from_dataframe(
         cls,
         table: Any,
         instrument: str,
-        positions: Layout | tuple[ArrayLike, ArrayLike],
+        positions: Layout | ArrayLike | tuple[ArrayLike, ArrayLike],
         weight: Any,
         weight_error: Any,
         loads: Sequence[Load],
@@ -134,21 +153,22 @@ class Campaign:
         date: datetime.datetime | None = None,
         **more: Any,
     ) -> Campaign:
-        """Make a campaign from a long table, which has one row for each reading of an actuator.
+        """Make a campaign from a table, which has one row for each reading, or each actuator of it.
 
         Parameters
         ----------
         table
             A DataFrame of pandas or polars, a table of astropy, or a dictionary of columns:
             ``load`` (its name), ``cycle`` (1 by default), ``shape``, ``sign``, ``actuator`` (its
-            ID), ``force``; optional ``time``, ``valid``, ``temperature``, ``position``, and
-            ``row``, the number of the reading if a shape is repeated in a cycle.
+            ID, also as F17), ``force``; optional ``time``, ``valid``, ``temperature``,
+            ``position``, and ``row``, the number of the reading if a shape is repeated in a cycle.
         instrument, positions, weight, weight_error, enabled, date, more
             As of `from_arrays`.
         loads
             All loads of the table.
         columns, units
             Names of these columns in the table, if they differ, and units: ``{"force": "mN"}``.
+            ``{"force": "F{id}"}`` if each actuator has a column of its own: F1, F2, ...
 
         Raises
         ------
@@ -167,7 +187,7 @@ class Campaign:
         ... )  # fmt: skip
         <Campaign of P45: 45 actuators, 1 cycle under bare>
         """
-        actuators = layout_of(positions, enabled)
+        actuators = layout_of(positions, enabled, units.get("positions"))
         found = cycles_in_table(table, actuators, loads, columns, units)
         return cls.from_arrays(
             instrument, actuators, weight, weight_error, found, date=date, **more

@@ -177,10 +177,9 @@ class Cycle:
             "declare the unit of TEMPERATURE, deg_C or K; leave the column out where it was not"
             " measured",
         ),
-        "force": Quantity("N", -LARGEST_FORCE, LARGEST_FORCE, "check the unit that FORCE declares"),
+        "force": Quantity("N", -LARGEST_FORCE, LARGEST_FORCE, "check the unit of FORCE"),
         "position": Quantity(
-            "m", -LARGEST_DISPLACEMENT, LARGEST_DISPLACEMENT,
-            "check the unit that POSITION declares",
+            "m", -LARGEST_DISPLACEMENT, LARGEST_DISPLACEMENT, "check the unit of POSITION"
         ),
         "shape": Quantity(), "sign": Quantity(), "valid": Quantity(), "gap": ANY_LENGTH,
         "number": Quantity("", 1, why="cycles count from 1", fault="CYCLE is {:g}"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,44 +11,104 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, naming
+from truenewton.errors import FormatError, GeometryError, naming
 from truenewton.quantities import in_unit
 from truenewton.records.cycle import ARRAYS, Cycle
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
-from truenewton.statics.load import Load
+from truenewton.statics.load import GRAVITY, Load
 
 REQUIRED = ("force", "shape", "sign")
 OF_CYCLE = (*ARRAYS, "date", "number")
 OF_TABLE = ("load", "cycle", "actuator", "row", *ARRAYS)
+MATRICES = ("force", "position")  # with a value for each actuator
+LABEL = re.compile(r"([^\W\d]*)[ _-]?(\d+)")  # a number with a word before it, as F17
+# Thickness of a disc of glass as large and heavy as the mirror, magnets included: 3 to 3.5 mm for
+# P45, MMT336, LBT672 and MAG585. A length that is wrong by a factor of 10 changes it by 100.
+GLASS_DENSITY = 2530.0  # [kg/m3]
+LIKELY_THICKNESS, POSSIBLE_THICKNESS = (3e-4, 0.03), (3e-6, 3.0)  # [m]
 
 
-def layout_of(positions: Any, enabled: Any = None) -> Layout:
-    """Return a layout, or that of a pair of (n,) x and y [m]."""
+def layout_of(positions: Any, enabled: Any = None, unit: str | None = None) -> Layout:
+    """Return a layout, or that of a pair of (n,) x and y, or of (n, 2) positions [m]."""
     if isinstance(positions, Layout):
         return positions if enabled is None else replace(positions, enabled=enabled)
     if len(positions) != 2:
-        raise FormatError("positions are not a pair", remedy="give (x, y), or a layout")
-    return layout(*positions, enabled=enabled)
+        positions, unit = np.asarray(in_unit(positions, "m", "positions", has=unit)), None
+        if positions.shape[1:] != (2,):
+            remedy = "give a pair (x, y), (n, 2) positions, or a layout"
+            raise FormatError(f"positions have the shape {positions.shape}", remedy=remedy)
+        positions = positions.T
+    x, y = (in_unit(each, "m", "positions", has=unit) for each in positions)
+    return layout(x, y, enabled=enabled)
+
+
+def check_size(actuators: Layout, weight: float) -> str:
+    """Return that positions and the weight [N] hardly fit together, or ''; refuse absurd ones."""
+    radius = float(np.hypot(actuators.x, actuators.y).max())
+    glass = abs(weight) / (GRAVITY * GLASS_DENSITY * np.pi * max(radius, 1e-9) ** 2)
+    if LIKELY_THICKNESS[0] < glass < LIKELY_THICKNESS[1]:
+        return ""
+    fault = f"actuators are up to {1e3 * radius:.4g} mm from the axis, and the mirror weighs"
+    fault += f" {abs(weight):.3g} N, as a disc of glass {1e3 * glass:.2g} mm thick"
+    remedy = "check the unit of the positions, and the weight"
+    if not POSSIBLE_THICKNESS[0] < glass < POSSIBLE_THICKNESS[1]:
+        raise GeometryError(fault, remedy=remedy)
+    return f"{fault}: {remedy}"
+
+
+def numbers_of_labels(labels: Iterable[object]) -> NDArray[np.int64] | None:
+    """Return (m,) numbers of texts as F17, if all have the same word before it; or None."""
+    found = [LABEL.fullmatch(str(label).strip()) for label in labels]
+    if not all(found) or len({match[1] for match in found if match}) != 1:
+        return None
+    return np.array([int(match[2]) for match in found if match])
 
 
 def cycles_from_arrays(
     mirror: Mapping[str, Any],
-    loads: Mapping[Load, Sequence[Mapping[str, Any]]],
+    loads: Any,
     date: datetime.datetime | None,
+    units: Mapping[str, str],
 ) -> Iterator[Cycle]:
     """Yield cycles; ``mirror`` contains the values of `Cycle` that all have in common.
 
     A cycle without a date begins one second after the end of the one before.
     """
     start = date or datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    if not isinstance(loads, Mapping):
+        raise FormatError("loads is no dictionary", remedy="give {load: [cycle, ...], ...}")
+    require_loads(loads)
+    _require_names(units, (), ("positions", *ARRAYS))
     for load, runs in loads.items():
-        for number, arrays in enumerate(runs, 1):
+        for number, arrays in enumerate([runs] if isinstance(runs, Mapping) else runs, 1):
+            if not isinstance(arrays, Mapping):
+                remedy = "give a dictionary with force, shape and sign"
+                raise FormatError(f"a cycle of load '{load.name}' is {type(arrays)}", remedy=remedy)
             with naming(f"load '{load.name}', cycle {arrays.get('number', number)}"):
-                cycle = _cycle_from(arrays, {"number": number, "date": start, "load": load}, mirror)
+                usual = {"number": number, "date": start, "load": load}
+                cycle = _cycle_from(_in_si(arrays, units), usual, mirror)
             yield cycle
             end = float(np.max(cycle.time, where=cycle.valid, initial=0.0))
             start = cycle.date + datetime.timedelta(seconds=end + 1.0)
+
+
+def require_loads(loads: Iterable[object]) -> None:
+    """Raise FormatError for anything but a load."""
+    for load in loads:
+        if not isinstance(load, Load):
+            remedy = "give tn.Load(name, added, added_error)"
+            raise FormatError(f"loads has {load!r}, which is no Load", remedy=remedy)
+
+
+def _in_si(arrays: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
+    """Return arrays of a cycle in the units of `Cycle`, if they have another unit."""
+    return {
+        name: in_unit(values, Cycle.QUANTITIES[name].unit, name, has=units.get(name))
+        if name in ARRAYS
+        else values
+        for name, values in arrays.items()
+    }
 
 
 def _cycle_from(
@@ -56,7 +117,7 @@ def _cycle_from(
     """Return a cycle of arrays with the values that are usual unless they are given."""
     _require_names(arrays, REQUIRED, OF_CYCLE)
     values = {**usual, **{k: v for k, v in arrays.items() if v is not None}}
-    rows = np.shape(values["force"])[0]
+    rows = len(np.atleast_1d(values["shape"]))
     time = np.asarray(values.setdefault("time", np.arange(rows, dtype=float)))
     if time.dtype.kind == "M":  # dates
         first = time.min().astype("datetime64[us]").astype(datetime.datetime)
@@ -84,25 +145,31 @@ def cycles_in_table(
     units: Mapping[str, str],
 ) -> dict[Load, list[dict[str, Any]]]:
     """Return the arrays of each cycle of each load in a table with one row for each reading."""
-    import astropy.units as u
-
     there = list(getattr(table, "columns", table))
     _require_names(columns, (), OF_TABLE)
+    require_loads(loads)
     known = {name: columns.get(name, name) for name in OF_TABLE}
-    used = {name: table[of] for name, of in known.items() if of in there}
-    required = ("load", "actuator", *REQUIRED)
-    if missing := [known[name] for name in required if name not in used]:
-        remedy = f"name it by columns={{...}}; there is {', '.join(map(str, there))}"
-        raise FormatError(f"the table has no column '{missing[0]}'", remedy=remedy)
-    for name, unit in units.items():
-        _require_names([name], (), [one for one in ARRAYS if one in used])
-        used[name] = u.Quantity(np.asarray(used[name]), unit)
-    values = {
-        name: np.asarray(in_unit(column, Cycle.QUANTITIES[name].unit, name))
-        if name in ARRAYS
-        else np.asarray(column)
-        for name, column in used.items()
-    }
+    required = ["load", *REQUIRED]
+    wide = [name for name in MATRICES if "{id}" in known[name]]  # a column for each actuator
+    if not wide:
+        required.append("actuator")
+    of_each = {name: [known[name].format(id=k) for k in actuators.id] for name in wide}
+    named = {name: of_each.get(name, [of]) for name, of in known.items()}
+    for name, parts in named.items():
+        missing = [part for part in parts if part not in there]
+        if missing and (name in required or name in wide):
+            remedy = f"name it by columns={{...}}; there is {listed(there, 12)}"
+            if name in ("actuator", "force") and not wide:
+                remedy += "; for one column of each actuator, columns={'force': 'F{id}'}"
+            raise FormatError(f"the table has no column '{missing[0]}'", remedy=remedy)
+    used = {name: parts for name, parts in named.items() if set(parts) <= set(there)}
+    _require_names(units, (), ("positions", *(name for name in ARRAYS if name in used)))
+    values = {}
+    for name, parts in used.items():
+        own = [_in_si({name: table[part]}, units)[name] for part in parts]
+        values[name] = np.stack([np.asarray(part) for part in own], axis=-1)
+        if name not in wide:
+            values[name] = values[name][:, 0]
     of_load = np.array([str(name).strip().casefold() for name in values["load"]])
     if unknown := sorted(set(of_load) - {load.key for load in loads}):
         raise FormatError(
@@ -120,7 +187,8 @@ def cycles_in_table(
             with naming(f"load '{load.name}', cycle {k}"):
                 some = mine & (number == k)
                 one = {name: column[some] for name, column in values.items()}
-                found[load].append({"number": int(k), **wide_rows(one, actuators)})
+                rows = {k: v for k, v in one.items() if k in ARRAYS} if wide else None
+                found[load].append({"number": int(k), **(rows or wide_rows(one, actuators))})
     return found
 
 
@@ -130,9 +198,14 @@ def wide_rows(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str
     Rows are in the order of their first readings.
     """
     at = {name: k for k, name in enumerate(actuators.id.tolist())}
-    if unknown := set(values["actuator"].tolist()) - set(at):
-        raise FormatError(f"there is no actuator {listed(sorted(unknown), 3)}", remedy="check IDs")
-    column = np.array([at[name] for name in values["actuator"].tolist()])
+    ids = values["actuator"]
+    ids = (ids if ids.dtype.kind in "fiu" or (n := numbers_of_labels(ids)) is None else n).tolist()
+    if unknown := sorted(set(ids) - set(at)):
+        raise FormatError(
+            f"there is no actuator {listed(unknown, 3)}",
+            remedy=f"give IDs of the layout, {listed(actuators.id, 3)}, in the column of actuators",
+        )
+    column = np.array([at[name] for name in ids])
     keys = [name for name in ("shape", "sign", "row") if name in values]
     row, first = _numbered(values, keys)
     if _twice(row, column, actuators.n) is not None and "time" in values:
@@ -145,7 +218,7 @@ def wide_rows(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str
         )
     arrays: dict[str, Any] = {}
     for name in ARRAYS:
-        if name in ("force", "position") and name in values:
+        if name in MATRICES and name in values:
             arrays[name] = np.full((len(first), actuators.n), np.nan)
             arrays[name][row, column] = values[name]
         elif name in values:
