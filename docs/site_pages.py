@@ -19,6 +19,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 from typer.main import get_command
 
+from truenewton.cli.json_schema import json_schema
 from truenewton.cli.main import app
 
 ROOT = Path(__file__).parent.parent
@@ -34,6 +35,18 @@ class CommandLine(SphinxDirective):
         group: Any = get_command(app)
         lines = [line for name, each in group.commands.items() for line in _command(name, each)]
         return self.parse_text_to_nodes("\n".join(lines), allow_section_headings=True)
+
+
+class JsonKeys(SphinxDirective):
+    """The keys of each output of --json, from its schema."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return a table with a row for each kind of output."""
+        definitions = json_schema()["$defs"]
+        kinds = [(name, each) for name, one in definitions.items() for each in one.get("anyOf", ())]
+        rows = [(name, ", ".join(list(each["properties"])[1:])) for name, each in kinds]
+        lines = ["| output | keys |", "|---|---|", *(f"| {name} | {keys} |" for name, keys in rows)]
+        return self.parse_text_to_nodes("\n".join(lines))
 
 
 class Constants(SphinxDirective):
@@ -132,6 +145,7 @@ def setup(sphinx: Sphinx) -> dict[str, bool]:
     """Register all of it."""
     languages["en"] = Search
     sphinx.add_directive("command-line", CommandLine)
+    sphinx.add_directive("json-keys", JsonKeys)
     sphinx.add_directive("constants", Constants)
     sphinx.add_post_transform(SourceLinks)
     sphinx.connect("source-read", pages_of_the_root)

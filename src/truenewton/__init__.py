@@ -39,6 +39,7 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.figures import write_figures as write_figures
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
+    from truenewton.cli.json_schema import json_schema as json_schema
     from truenewton.comparison.calibrations import Change as Change
     from truenewton.comparison.compare import compare as compare
     from truenewton.comparison.result import Comparison as Comparison
@@ -109,6 +110,7 @@ _NAMES = {
     "calibration.figures": ["write_figures"],
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
+    "cli.json_schema": ["json_schema"],
     "comparison.calibrations": ["Change"],
     "comparison.compare": ["compare"],
     "comparison.result": ["Comparison", "read_comparison"],

@@ -1,6 +1,5 @@
 """Segments are calibrated as if each were alone; one that is refused harms no other."""
 
-import json
 import os
 from dataclasses import replace
 
@@ -10,6 +9,7 @@ from astropy.io import fits
 from astropy.table import QTable
 
 import truenewton as tn
+from helpers.json_output import checked
 from helpers.segmented import in_one, pieces
 from truenewton.calibration import figures
 from truenewton.calibration.verdict import REGARDLESS, Level, without_unusable
@@ -336,7 +336,7 @@ def test_commands_take_segments(folder, inside, tmp_path, monkeypatch):
     assert wrong.count("\n") == 1
     assert "has 3 segments, and this takes one at a time; choose it by its number" in wrong
     assert isinstance(tn.read_calibration(out, segment=3), tn.Calibration)
-    values = json.loads(inside("calibrate", folder, "--json")[1])
+    values = checked(inside("calibrate", folder, "--json")[1])
     assert values["schema"] == "truenewton.calibrate-segments/2"
     assert [part["segment"] for part in values["segments"]] == [1, 2, 3]
     assert len(values["actuators"]["alpha"]) == 42

@@ -15,6 +15,8 @@ from astropy.io import fits
 
 import truenewton
 from helpers.balanced import p45_bench
+from helpers.json_output import checked
+from truenewton.cli.main import EXAMPLES, GROUPS, app
 from truenewton.cli.terminal import say
 from truenewton.mirrors.known import ring
 
@@ -126,8 +128,6 @@ def test_demo_prints_its_four_parts_and_writes_its_files(tmp_path, monkeypatch, 
 
 
 def test_help_has_every_command_in_a_group_and_an_example_of_each(inside):
-    from truenewton.cli.main import EXAMPLES, GROUPS, app
-
     assert inside("--version")[:2] == (0, f"truenewton {truenewton.__version__}\n")
     code, out, _ = inside("--help")
     assert inside() == (code, out, "")
@@ -154,59 +154,61 @@ def test_quiet_prints_what_was_written_and_what_is_wrong(inside, folder, tmp_pat
     assert str(alpha) in err
 
 
-def told(page, first):
-    """Return the keys that a table of docs/command-line.md gives by the first cell of its rows."""
-    rows = [line.split("|")[1:3] for line in page.splitlines() if re.match(first, line)]
-    bare = {name.strip(): re.sub(r"\([^)]*\)", "", keys) for name, keys in rows}
-    return {name: re.findall(r"`(\w+)`", keys) for name, keys in bare.items()}
-
-
-def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_path):
-    page = (ROOT / "docs" / "command-line.md").read_text()
-    top, within = told(page, r"\| truenewton\."), told(page, r"\| \w+: ")
-    top["truenewton.recalibrate/2"][:0] = top["truenewton.calibrate/2"]
-    alpha, drawn, written = (tmp_path / name for name in ("alpha.fits", "drawn", "page.html"))
-    plan, cool, matrix = (tmp_path / name for name in ("plan.toml", "cool", "matrix.npy"))
-    inside("plan", "--new", "-o", plan)
-    plan.write_text(plan.read_text().replace("cycles = 4", "cycles = 2").replace("p45", "ring8"))
-    inside("simulate", "ring8", "-o", cool, "--cycles", "2", "--temperature", "10")
+@pytest.fixture(scope="module")
+def inputs(folder, tmp_path_factory):
+    """Return a folder with a plan, a campaign in the cold, two matrices and a calibration."""
+    path = tmp_path_factory.mktemp("inputs")
+    run("calibrate", folder, "-o", path / "alpha.fits")
+    run("plan", "--new", "-o", path / "plan.toml")
+    plan = (path / "plan.toml").read_text().replace("cycles = 4", "cycles = 2")
+    (path / "plan.toml").write_text(plan.replace("p45", "ring8"))
+    run("simulate", "ring8", "-o", path / "cool", "--cycles", "2", "--temperature", "10")
     truth = truenewton.static_bench(ring(8), 1).truth
-    np.save(matrix, truth.stiffness / truth.alpha[:, None])
-    seen = set()
-    for schema, words in {
-        "truenewton.calibrate/2": ("calibrate", folder, "-o", alpha),
-        "truenewton.recalibrate/2": ("recalibrate", folder, "--known", alpha, "--actuators", "3"),
-        "truenewton.info/2, of a campaign": ("info", folder),
-        "truenewton.track/2": ("track", alpha, cool, "--accuracy", "0.005"),
-        "truenewton.modes/2": ("modes", folder, "--diameter", "2.13"),
-        "truenewton.plan/2": ("plan", plan, "--target", "1e-4"),
-        "truenewton.acquire/2": ("acquire", plan, "-o", tmp_path / "day", "--yes"),
-        "truenewton.import/2": ("import", matrix, "--mirror", "ring8"),
-        "truenewton.figures/2": ("figures", alpha, "-o", drawn),
-        "truenewton.report/2": ("report", alpha, "-o", written),
-        "truenewton.prove/2": ("prove",),
-        "truenewton.mirrors/2": ("mirrors",),
-        "truenewton.mirror/2": ("mirrors", "p45"),
-        "truenewton.mirror/2, of one in segments": ("mirrors", "gmt"),
-    }.items():
-        values = json.loads(inside(*words, "--json")[1])
-        assert list(values) == ["schema", *top[schema]], schema
-        assert values["schema"] == schema.split(",")[0]
-        for key, value in values.items():
-            part = value[0] if value and isinstance(value, list) else value
-            name = f"{re.split('[./]', schema)[1]}: {key}"
-            if part is None:
-                continue  # of other data
-            if name in within:
-                assert list(part) == within[name], name
-                seen.add(name)
-            elif isinstance(part, dict):  # of a name of its own, or told elsewhere
-                apart = "found", "invalid", "mirrors", "segmented", "calibration", "segments"
-                assert key in apart or f"calibrate: {key}" in within, key
-    assert seen == set(within) - {"calibrate: matrix"}
-    values = json.loads(inside("info", alpha, "--json")[1])
-    assert list(values) == ["schema", "holds", *top["truenewton.calibrate/2"]]
-    assert inside("info", alpha)[1].startswith("a calibration, method ml, scale weights\n")
+    measured = truth.stiffness / truth.alpha[:, None]
+    for name, noise in {"matrix": 0.0, "again": 1e-3}.items():
+        noisy = measured * (1.0 + noise * np.random.default_rng(1).standard_normal((8, 8)))
+        np.save(path / f"{name}.npy", noisy)
+        run("import", path / f"{name}.npy", "--mirror", "ring8", "-o", path / f"{name}.fits")
+    return path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "calibrate {folder}",
+        "recalibrate {folder} --known {inputs}/alpha.fits --actuators 3",
+        "info {folder}",
+        "info {inputs}/matrix.fits",
+        "info {inputs}/alpha.fits",
+        "track {inputs}/alpha.fits {inputs}/cool --accuracy 0.005",
+        "compare {inputs}/matrix.fits {inputs}/again.fits",
+        "compare {inputs}/alpha.fits {inputs}/alpha.fits",
+        "modes {folder}",
+        "modes {folder} --diameter 2.13 --efficiency 0.51",
+        "plan {inputs}/plan.toml --target 1e-4",
+        "acquire {inputs}/plan.toml -o {new}/day --yes",
+        "import {inputs}/matrix.npy --mirror ring8",
+        "figures {inputs}/alpha.fits -o {new}/figures",
+        "report {inputs}/alpha.fits -o {new}/page.html",
+        "prove",
+        "mirrors",
+        "mirrors p45",
+        "mirrors gmt",
+    ],
+)
+def test_json_is_as_its_schema_declares(inside, folder, inputs, tmp_path, words):
+    given = words.format(folder=folder, inputs=inputs, new=tmp_path).split()
+    code, out, _ = inside(*given, "--json")
+    assert code == 0
+    known = {"mirrors p45": "mirror", "mirrors gmt": "mirror"}
+    assert checked(out)["schema"] == f"truenewton.{known.get(words, given[0])}/2"
+
+
+def test_the_schema_declares_every_command_with_json(inside):
+    schema = truenewton.json_schema()
+    commands = {name for name in EXAMPLES if "--json" in inside(name, "--help")[1]}
+    assert commands < set(schema["$defs"])
+    assert json.loads(inside("--json-schema")[1]) == schema
 
 
 def closed_pipe():

@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 import truenewton as tn
+from helpers.json_output import checked
 from helpers.opcua_server import behind, free_port
 from truenewton.acquisition.acquire import chosen_bench
 from truenewton.bench.opcua import server
@@ -335,6 +336,6 @@ def test_the_command_tells_of_segments(inside, tiny):
     assert re.search(r"GMT, 6 x +675", listed)
     told = inside("mirrors", tiny)[1]
     assert "segments 1 at 0.11, 0 m, turned 0 deg, 3 at 0.02, -0.19 m, turned -100 deg:" in told
-    values = json.loads(inside("mirrors", tiny, "--json")[1])
+    values = checked(inside("mirrors", tiny, "--json")[1])
     assert [one["actuators"] for one in values["segments"]] == [7, 16, 7]
     assert "[assumed]" in inside("mirrors", "gmt")[1]

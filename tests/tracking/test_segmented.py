@@ -1,7 +1,6 @@
 """Segments are tracked and recalibrated as if each were alone; one refused harms no other."""
 
 import datetime
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 from astropy.io import fits
 
 import truenewton as tn
+from helpers.json_output import checked
 from helpers.segmented import in_one, pieces
 from truenewton.errors import CampaignMismatch, Fault, FormatError, RankDeficient, UnknownName
 from truenewton.records.file import write_campaign
@@ -127,7 +127,7 @@ def test_the_command_tracks_all_segments(files, inside, tmp_path):
     assert "segments 1 to 3: no outliers" in said
     assert "segments 1 to 3: the latest calibration is valid to 1 %" in said
     code, said, _ = inside("track", *files, "--json")
-    values = json.loads(said)
+    values = checked(said)
     assert values["schema"] == "truenewton.track-segments/2"
     assert [part["segment"] for part in values["segments"]] == [1, 2, 3]
 
@@ -195,7 +195,7 @@ def test_the_command_recalibrates_by_a_law_of_all_segments(after, files, days, i
     assert set(back.failed) == {3}
     assert back.part(1).method == "ml, recalibrated"
     code, said, _ = inside(*words, "--actuators", "auto", "--json")
-    values = json.loads(said)
+    values = checked(said)
     assert [one["actuator"] for one in values["segments"][0]["moved"]] == [105]
     assert values["segments"][2]["verdict"]["level"] == "no alpha"
     code, _, wrong = inside(*words, "--actuators", 999)

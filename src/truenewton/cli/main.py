@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import signal
 import sys
@@ -85,10 +86,21 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
+def _json_schema(asked: bool) -> None:
+    if asked:
+        from truenewton.cli.json_schema import json_schema
+
+        typer.echo(json.dumps(json_schema(), indent=2))
+        raise typer.Exit
+
+
 @app.callback()
 def _options(
     version: bool = typer.Option(
         False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
+    schema: bool = typer.Option(
+        False, "--json-schema", callback=_json_schema, help="Print the JSON Schema of --json."
     ),
 ) -> None:
     pass

@@ -68,7 +68,7 @@ def print_result(
 
     The ``details`` are printed if ``verbose``, otherwise how many there are. With ``quiet``, print
     the files only. The JSON begins with the name of its schema and the version, which changes if a
-    key changes or is removed. Numbers that are not finite become null.
+    key changes or is removed (`json_schema`). Numbers that are not finite become null.
     """
     if values is not None:
         from truenewton.arrays import jsonable  # imports NumPy, which --help does not need

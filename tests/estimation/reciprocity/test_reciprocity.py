@@ -1,6 +1,5 @@
 """Reciprocity against a likelihood written out with all of K, and against statistics."""
 
-import json
 from dataclasses import replace
 from functools import cache
 
@@ -9,6 +8,7 @@ import pytest
 
 import truenewton as tn
 from helpers.balanced import START, changed, p45_bench, p45_campaign
+from helpers.json_output import checked
 from helpers.reciprocal import measured, random_stiffness, random_values, small_places
 from studies.joint_bound import BruteForce, shifted
 from studies.simulated_matrices import by_glass, by_plate, drawn
@@ -413,7 +413,7 @@ def test_with_the_glass_reciprocity_is_taken_where_it_holds_from_every_door(insi
     assert calibrate(campaign).method == "ml"
     write_campaign(campaign.cycles, tmp_path / "day")
     asked = (tmp_path / "day", "--mirror", "p45")
-    assert json.loads(inside("calibrate", *asked, "--json")[1])["method"] == "reciprocity"
+    assert checked(inside("calibrate", *asked, "--json")[1])["method"] == "reciprocity"
     page = tmp_path / "page.html"
     assert inside("report", *asked, "-o", page)[0] == 0
     text = page.read_text()
