@@ -1,6 +1,7 @@
 """Units are never lost: what has one is converted, or refused; what is masked does not count."""
 
 import datetime
+import inspect
 from dataclasses import fields, replace
 
 import astropy.units as u
@@ -212,3 +213,20 @@ def test_functions_convert_too():
     bench = tn.static_bench(ring(8), 3, stroke=1.5 * u.um, force_noise=0.1 * u.mN)
     same = tn.static_bench(ring(8), 3, stroke=1.5e-6, force_noise=1e-4)
     np.testing.assert_allclose(bench.shapes, same.shapes, rtol=1e-12)
+
+
+def test_attributes_of_public_records_are_plain_numbers_and_only_tables_have_units():
+    """The rule of docs/api.md, by the annotations that mypy checks."""
+    with_units, seen = set(), 0
+    for kind in filter(inspect.isclass, (getattr(tn, name) for name in tn.__all__)):
+        getters = {name: getattr(value, "fget", None) or getattr(value, "func", None)
+                   for name, value in inspect.getmembers(kind)}  # fmt: skip
+        hints = {
+            name: get.__annotations__.get("return", "") for name, get in getters.items() if get
+        }
+        hints |= inspect.get_annotations(kind)
+        seen += len(hints)
+        united = ("Quantity", "QTable", "Table")
+        with_units |= {name for name, hint in hints.items() if str(hint).endswith(united)}
+    assert seen > 200
+    assert with_units == {"table"}

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from truenewton.calibration.result import CALIBRATIONS, AnyCalibration, Calibration
+from truenewton.calibration.file import CALIBRATIONS
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
 from truenewton.errors import FormatError, naming

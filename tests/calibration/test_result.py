@@ -23,6 +23,18 @@ def test_alpha_of_ids(p45_calibration):
         c.alpha_of([0, 17, 46])
 
 
+def test_an_actuator_is_a_row_of_the_table_by_its_id(p45_calibration):
+    c = p45_calibration
+    one = c[17]
+    assert (one["ID"], one["ALPHA"].value) == (17, c.alpha[16])
+    assert one["X"].unit == "m"
+    assert 17 in c
+    assert 46 not in c
+    assert list(c) == c.layout.id.tolist()
+    with pytest.raises(UnknownName, match="P45 has no actuator 46"):
+        c[46]
+
+
 def test_the_summary_is_that_of_the_terminal(p45_calibration):
     text = p45_calibration.summary()
     assert text.startswith("P45")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from truenewton.bench.simulated.truth import TRUTH
-from truenewton.calibration.export import CALIBRATIONS
+from truenewton.calibration.file import CALIBRATIONS
 from truenewton.calibration.result import CALIBRATION
 from truenewton.comparison.result import COMPARISON
 from truenewton.estimation.findings.code import rows as threshold_rows

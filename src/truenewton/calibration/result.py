@@ -1,36 +1,26 @@
-"""The result of a calibration, and its file (docs/files.md)."""
+"""The result of a calibration, and the columns of its file (docs/files.md)."""
 
 from __future__ import annotations
 
 import datetime
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError, UnknownName
-from truenewton.estimation.findings.catalogue import REPEATED, read_name, read_warning
-from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.estimate import (
-    Diagnosis,
-    ErrorKind,
-    ErrorSource,
     EstimateFacts,
-    Goodness,
-    NoiseSource,
     Scale,
-    ScaleError,
 )
-from truenewton.estimation.findings.finding import Finding, Verdict, from_stored
+from truenewton.estimation.findings.finding import Finding, Verdict
 from truenewton.estimation.matrix.facts import Symmetry
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.estimation.paper.equations import Unknowns
-from truenewton.files.content import FitsFile
 from truenewton.files.format import (
     Column,
     FileFormat,
@@ -42,14 +32,14 @@ from truenewton.files.format import (
 from truenewton.records.cycle import Source
 from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
 from truenewton.records.parts import Parts
-from truenewton.records.result import KINDS, Result, ResultKind, verdict_of
+from truenewton.records.result import Result, verdict_of
 from truenewton.rounding import counted, named
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load, check_load
 
 if TYPE_CHECKING:
     import pandas as pd
-    from astropy.table import QTable
+    from astropy.table import QTable, Row
     from matplotlib.axes import Axes
 
 
@@ -242,6 +232,20 @@ class Calibration(Result, EstimateFacts):
     def __len__(self) -> int:
         return self.layout.n
 
+    def __iter__(self) -> Iterator[int]:
+        """Iterate over the IDs of the actuators."""
+        return iter(self.layout.id.tolist())
+
+    def __getitem__(self, actuator: int) -> Row:
+        """Return the row of `table` of an actuator by its ID.
+
+        Examples
+        --------
+        >>> calibration[17]["ID", "ALPHA", "E_ALPHA"].colnames
+        ['ID', 'ALPHA', 'E_ALPHA']
+        """
+        return self.table[self._places_of([actuator])][0]
+
     def alpha_of(self, ids: ArrayLike) -> Array:
         """Return (k,) alpha of actuators by their (k,) IDs.
 
@@ -250,6 +254,10 @@ class Calibration(Result, EstimateFacts):
         UnknownName
             There is no such actuator.
         """
+        return np.asarray(self.alpha[self._places_of(ids)])
+
+    def _places_of(self, ids: ArrayLike) -> NDArray[np.int64]:
+        """Return (k,) indices of actuators by their (k,) IDs."""
         wanted = np.asarray(ids)
         order = np.argsort(self.layout.id)
         at = order[np.searchsorted(self.layout.id, wanted, sorter=order).clip(max=len(self) - 1)]
@@ -259,7 +267,7 @@ class Calibration(Result, EstimateFacts):
                 f"{self.instrument} has no {named('actuator', missing, 8)}",
                 remedy="give IDs of `calibration.layout.id`",
             )
-        return np.asarray(self.alpha[at])
+        return np.asarray(at)
 
     def to_true(self, commanded: ArrayLike) -> Array:
         """Return true forces, alpha times commanded: (..., n) [N], NaN of disabled actuators.
@@ -479,123 +487,3 @@ CALIBRATION = FileFormat(
         ),
     ),
 )
-
-
-MAX_NUMBER = 1e30  # in a file
-VARIANCE_TOLERANCE = 1e-3  # relative; rounding to 32 bits allowed
-
-
-def calibration_from(file: FitsFile) -> Calibration:
-    """Return the calibration that a file contains.
-
-    Raises FormatError if the file is not as declared.
-    """
-    values = file.values(CALIBRATION, MAX_NUMBER)
-    values["layout"]["enabled"] = file.enabled(values["alpha"], "calibrate again")
-    count = Unknowns(values["alpha"].size, values["torque_y"].size).count
-    file.require_covariances(count, "n + 1 + 2 L", "calibrate again")
-    _refuse_disagreement(file, values)
-    try:
-        values["goodness"] = _goodness(**values["goodness"])
-        if "scale_errors" in values:
-            values["scale_errors"] = tuple(_scale_errors(**values["scale_errors"]))
-        if "effects" in values:
-            names, rows = values["effects"], _rows(*values["effects"].values())
-            found = (_finding(**dict(zip(names, row, strict=True))) for row in rows)
-            values["effects"] = tuple(found)
-    except (KeyError, ValueError) as error:
-        raise FormatError(
-            f"FITNOISE, a KIND of BUDGET or ACTUATORS of EFFECTS is {error}",
-            remedy="calibrate again",
-            path=file.path,
-        ) from None
-    facts = Symmetry(**values.pop("matrix_facts"))
-    values["matrix_facts"] = facts if np.isfinite(facts.asymmetry) else None
-    diagnosis = values["diagnosis"]
-    if "warnings" in diagnosis:
-        warnings = diagnosis["warnings"]
-        rows = _rows(*(warnings[name] for name in ("code", "level", "fault", "remedy", "stored")))
-        found = (_warning(*row) for row in rows if row[0] or not row[2].startswith(REPEATED))
-        diagnosis["warnings"] = tuple(found)
-    values["diagnosis"] = Diagnosis(**diagnosis)
-    return file.filled(Calibration, values)
-
-
-def _rows(*columns: Any) -> Iterator[tuple[Any, ...]]:
-    """Return the rows of columns that are arrays or tuples of texts."""
-    lists = (each.tolist() if isinstance(each, np.ndarray) else each for each in columns)
-    return zip(*lists, strict=True)
-
-
-def _refuse_disagreement(file: FitsFile, values: dict[str, Any]) -> None:
-    """Refuse errors of alpha that are not those of the covariances."""
-    n, systematic = values["alpha"].size, values["systematic_error"] ** 2
-    for names, errors, matrix in (
-        ("E_STAT and E_SYST", values["statistical_error"] ** 2 + systematic, "covariance"),
-        ("E_SYST", systematic, "systematic_covariance"),
-    ):
-        variances = np.diag(values[matrix])[:n]
-        if (np.abs(variances - errors) > VARIANCE_TOLERANCE * np.maximum(variances, errors)).any():
-            raise FormatError(
-                f"{names} are not those of the covariances",
-                remedy="calibrate again",
-                path=file.path,
-            )
-
-
-def _goodness(
-    degrees_of_freedom: int | None, chi2: float, against: str, probability: float
-) -> Goodness | None:
-    """Return how well the data fit; None if the file does not contain it."""
-    if degrees_of_freedom is None or not against:
-        return None
-    return Goodness(chi2, degrees_of_freedom, NoiseSource(against), probability)
-
-
-def _scale_errors(source: dict[str, Any], relative: Array) -> Iterator[ScaleError]:
-    """Yield the budget of the common scale."""
-    for kind, name, size in _rows(source["kind"]["name"], source["name"], relative):
-        yield ScaleError(ErrorSource(ErrorKind[kind], name), size)
-
-
-def _finding(code: str, name: str, detail: str, where: str, ids: str, **values: Any) -> Finding:
-    """Return a finding of table EFFECTS; without a code (earlier versions) by name and place."""
-    if not code:
-        found, detail = read_name(name)
-        actuator, _, only = where.partition(" ")
-        ids = only if actuator == "actuator" and only.isdigit() else ""
-    elif code in set(Code):
-        found = Code(code)
-    else:  # of a newer version
-        found, detail = Code.OTHER, name
-    actuators = tuple(int(i) for i in ids.split())
-    return Finding(code=found, detail=detail, where=where, actuators=actuators, **values)
-
-
-def _warning(code: str, level: str, fault: str, remedy: str, stored: str) -> Finding:
-    """Return a finding of table WARNINGS; of other versions by its text."""
-    try:
-        return from_stored(code, remedy, json.loads(stored))
-    except (KeyError, ValueError, TypeError, AttributeError):
-        graded = Level.read(level) if level else read_warning(fault)
-        return Finding(code=Code.OTHER, detail=fault, graded=graded, remedy=remedy)
-
-
-CALIBRATIONS = ResultKind(
-    CALIBRATION,
-    calibration_from,
-    "ALPHA",
-    {
-        "VERDICT": str(Level.NONE),
-        "METHOD": "",
-        "SCALE": "",
-        "NSHAPES": 0,
-        "NREJECT": 0,
-        "BIAS": np.nan,
-        "E_BIAS": np.nan,
-        "NOISE": np.nan,
-        "FITCHI2": np.nan,
-        "DOF": 0,
-    },
-)
-KINDS[Calibration] = CALIBRATIONS

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.calibration.result import ACTUATORS, CALIBRATIONS, AnyCalibration, Calibration
+from truenewton.calibration.result import ACTUATORS, AnyCalibration, Calibration
 from truenewton.calibration.verdict import NO_ERROR, rejected_sentence
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
@@ -26,7 +26,7 @@ from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
 from truenewton.files.format import attributes, columns_by_name
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
-from truenewton.records.result import Summary, summary_of
+from truenewton.records.result import KINDS, Summary, summary_of
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, percent, row, significant, to_digits, with_error
@@ -109,7 +109,7 @@ def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Itera
 
 def summary_values(calibration: AnyCalibration) -> dict[str, Any]:
     """Return the same figures for a script."""
-    c, table = calibration, CALIBRATIONS.actuators if has_parts(calibration) else ACTUATORS
+    c, table = calibration, KINDS[Calibration].actuators if has_parts(calibration) else ACTUATORS
     actuators = columns_by_name(c, table, "alpha", "e_alpha", "e_stat", "e_syst", "e_cycle")
     if has_parts(c):
         return {

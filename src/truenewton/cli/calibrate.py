@@ -66,7 +66,7 @@ def run_calibrate(
     quiet: bool = options.QUIET,
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
-    from truenewton.calibration.export import lacking, suffix_of
+    from truenewton.calibration.file import lacking, suffix_of
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.summary import detail_lines, summary_lines, summary_values
     from truenewton.calibration.verdict import usable
@@ -130,7 +130,7 @@ def run_recalibrate(
     quiet: bool = options.QUIET,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
-    from truenewton.calibration.export import suffix_of
+    from truenewton.calibration.file import suffix_of
     from truenewton.calibration.summary import detail_lines
     from truenewton.calibration.verdict import usable
     from truenewton.reading import read_chosen

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from truenewton.arrays import Array, freeze
-from truenewton.calibration.result import LARGEST_ALPHA, MAX_NUMBER
+from truenewton.calibration.file import MAX_NUMBER
+from truenewton.calibration.result import LARGEST_ALPHA
 from truenewton.chance import chi2_sf
 from truenewton.errors import FormatError, RankDeficient
 from truenewton.estimation.findings.code import Level

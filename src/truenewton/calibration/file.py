@@ -1,0 +1,221 @@
+"""A calibration in files: read from FITS, and written whole, as its table, or alpha alone."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.calibration.result import ACTUATORS, CALIBRATION, AnyCalibration, Calibration
+from truenewton.calibration.summary import as_sentences
+from truenewton.errors import FormatError, OutputExists, OutputFailed
+from truenewton.estimation.findings.catalogue import REPEATED, read_name, read_warning
+from truenewton.estimation.findings.code import Code, Level
+from truenewton.estimation.findings.estimate import (
+    Diagnosis,
+    ErrorKind,
+    ErrorSource,
+    Goodness,
+    NoiseSource,
+    ScaleError,
+)
+from truenewton.estimation.findings.finding import Finding, from_stored
+from truenewton.estimation.matrix.facts import Symmetry
+from truenewton.estimation.paper.equations import Unknowns
+from truenewton.files.content import FitsFile
+from truenewton.files.format import columns_of, header_of
+from truenewton.files.outputs import file_beside
+from truenewton.records.parts import has_parts
+from truenewton.records.result import KINDS, ResultKind, write
+
+MAX_NUMBER = 1e30  # in a file
+VARIANCE_TOLERANCE = 1e-3  # relative; rounding to 32 bits allowed
+
+
+def calibration_from(file: FitsFile) -> Calibration:
+    """Return the calibration that a file contains.
+
+    Raises FormatError if the file is not as declared.
+    """
+    values = file.values(CALIBRATION, MAX_NUMBER)
+    values["layout"]["enabled"] = file.enabled(values["alpha"], "calibrate again")
+    count = Unknowns(values["alpha"].size, values["torque_y"].size).count
+    file.require_covariances(count, "n + 1 + 2 L", "calibrate again")
+    _refuse_disagreement(file, values)
+    try:
+        values["goodness"] = _goodness(**values["goodness"])
+        if "scale_errors" in values:
+            values["scale_errors"] = tuple(_scale_errors(**values["scale_errors"]))
+        if "effects" in values:
+            names, rows = values["effects"], _rows(*values["effects"].values())
+            found = (_finding(**dict(zip(names, row, strict=True))) for row in rows)
+            values["effects"] = tuple(found)
+    except (KeyError, ValueError) as error:
+        raise FormatError(
+            f"FITNOISE, a KIND of BUDGET or ACTUATORS of EFFECTS is {error}",
+            remedy="calibrate again",
+            path=file.path,
+        ) from None
+    facts = Symmetry(**values.pop("matrix_facts"))
+    values["matrix_facts"] = facts if np.isfinite(facts.asymmetry) else None
+    diagnosis = values["diagnosis"]
+    if "warnings" in diagnosis:
+        warnings = diagnosis["warnings"]
+        rows = _rows(*(warnings[name] for name in ("code", "level", "fault", "remedy", "stored")))
+        found = (_warning(*row) for row in rows if row[0] or not row[2].startswith(REPEATED))
+        diagnosis["warnings"] = tuple(found)
+    values["diagnosis"] = Diagnosis(**diagnosis)
+    return file.filled(Calibration, values)
+
+
+def _rows(*columns: Any) -> Iterator[tuple[Any, ...]]:
+    """Return the rows of columns that are arrays or tuples of texts."""
+    lists = (each.tolist() if isinstance(each, np.ndarray) else each for each in columns)
+    return zip(*lists, strict=True)
+
+
+def _refuse_disagreement(file: FitsFile, values: dict[str, Any]) -> None:
+    """Refuse errors of alpha that are not those of the covariances."""
+    n, systematic = values["alpha"].size, values["systematic_error"] ** 2
+    for names, errors, matrix in (
+        ("E_STAT and E_SYST", values["statistical_error"] ** 2 + systematic, "covariance"),
+        ("E_SYST", systematic, "systematic_covariance"),
+    ):
+        variances = np.diag(values[matrix])[:n]
+        if (np.abs(variances - errors) > VARIANCE_TOLERANCE * np.maximum(variances, errors)).any():
+            raise FormatError(
+                f"{names} are not those of the covariances",
+                remedy="calibrate again",
+                path=file.path,
+            )
+
+
+def _goodness(
+    degrees_of_freedom: int | None, chi2: float, against: str, probability: float
+) -> Goodness | None:
+    """Return how well the data fit; None if the file does not contain it."""
+    if degrees_of_freedom is None or not against:
+        return None
+    return Goodness(chi2, degrees_of_freedom, NoiseSource(against), probability)
+
+
+def _scale_errors(source: dict[str, Any], relative: Array) -> Iterator[ScaleError]:
+    """Yield the budget of the common scale."""
+    for kind, name, size in _rows(source["kind"]["name"], source["name"], relative):
+        yield ScaleError(ErrorSource(ErrorKind[kind], name), size)
+
+
+def _finding(code: str, name: str, detail: str, where: str, ids: str, **values: Any) -> Finding:
+    """Return a finding of table EFFECTS; without a code (earlier versions) by name and place."""
+    if not code:
+        found, detail = read_name(name)
+        actuator, _, only = where.partition(" ")
+        ids = only if actuator == "actuator" and only.isdigit() else ""
+    elif code in set(Code):
+        found = Code(code)
+    else:  # of a newer version
+        found, detail = Code.OTHER, name
+    actuators = tuple(int(i) for i in ids.split())
+    return Finding(code=found, detail=detail, where=where, actuators=actuators, **values)
+
+
+def _warning(code: str, level: str, fault: str, remedy: str, stored: str) -> Finding:
+    """Return a finding of table WARNINGS; of other versions by its text."""
+    try:
+        return from_stored(code, remedy, json.loads(stored))
+    except (KeyError, ValueError, TypeError, AttributeError):
+        graded = Level.read(level) if level else read_warning(fault)
+        return Finding(code=Code.OTHER, detail=fault, graded=graded, remedy=remedy)
+
+
+CALIBRATIONS = ResultKind(
+    CALIBRATION,
+    calibration_from,
+    "ALPHA",
+    {
+        "VERDICT": str(Level.NONE),
+        "METHOD": "",
+        "SCALE": "",
+        "NSHAPES": 0,
+        "NREJECT": 0,
+        "BIAS": np.nan,
+        "E_BIAS": np.nan,
+        "NOISE": np.nan,
+        "FITCHI2": np.nan,
+        "DOF": 0,
+    },
+)
+KINDS[Calibration] = CALIBRATIONS
+
+WHOLE = (".fits", ".fits.gz")
+LACKS = {  # of the other formats, what they contain and lack
+    ".ecsv": "the table and the verdict; no covariance",
+    ".csv": "the table alone; no units (X, Y in m), no verdict, no covariance",
+    ".npy": "alpha alone, NaN where disabled; no errors, no verdict",
+}
+
+
+def suffix_of(path: str | os.PathLike[str]) -> str:
+    """Return the suffix of a name that decides its format; raise OutputExists or OutputFailed."""
+    name = Path(path).name.lower()
+    for suffix in (*WHOLE, *LACKS):
+        if name.endswith(suffix):
+            return suffix
+    if Path(path).is_dir():
+        raise OutputExists("is a folder", remedy="choose another name", path=path)
+    raise OutputFailed(
+        "is no name for a calibration",
+        remedy=f"let it end in {', '.join((*WHOLE, *LACKS))}",
+        path=path,
+    )
+
+
+def lacking(calibration: AnyCalibration, path: str | os.PathLike[str]) -> str:
+    """Return what a file of that name does not contain of a calibration; '' if it contains all."""
+    lacks = LACKS.get(suffix_of(path), "")
+    if not lacks:
+        return ""
+    return (
+        f"{Path(path).name} holds {lacks}; the verdict is '{calibration.verdict.level}'."
+        " A name in .fits keeps all, which the other commands take"
+    )
+
+
+@write.register(Calibration)
+def write_calibration(
+    calibration: AnyCalibration, path: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
+    """Write a calibration in the format of the suffix; raise OutputExists or OutputFailed."""
+    suffix = suffix_of(path)
+    if suffix in WHOLE:
+        write.dispatch(object)(calibration, path, overwrite=overwrite)
+        return
+    with file_beside(path, overwrite=overwrite) as temporary:
+        if suffix == ".npy":
+            with temporary.open("wb") as file:
+                np.save(file, calibration.column("alpha"), allow_pickle=False)
+        else:
+            _write_table(calibration, temporary, suffix)
+
+
+def _write_table(calibration: AnyCalibration, path: Path, suffix: str) -> None:
+    """Write the table with all digits; ECSV also has units, keywords and the verdict's faults."""
+    from astropy.table import Column, Table
+
+    kind, several = CALIBRATIONS, has_parts(calibration)
+    form, actuators = (kind.whole, kind.actuators) if several else (kind.form, ACTUATORS)
+    table = Table()
+    for name, _, unit, values in columns_of(calibration, actuators):
+        if name not in ("NZ", "ENABLED"):
+            table[name] = Column(values, unit=unit)
+    if suffix == ".ecsv":
+        for name, value, _ in header_of(calibration, form):  # YAML knows plain types alone
+            table.meta[name] = str(value) if isinstance(value, str) else np.asarray(value).item()
+        faults = calibration.verdict.faults
+        table.meta["FAULTS"] = [as_sentences(each) for each in faults]
+    table.write(path, format=f"ascii{suffix}")
