@@ -34,6 +34,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg
 
 from truenewton import linalg
 from truenewton.arrays import Array
@@ -44,6 +45,7 @@ STEP_TOLERANCE = 1e-3  # of its error, below which a step ends the iteration
 LAW_STEPS = 6  # in which the variances follow the residuals; then they are kept
 SCALE_PASSES = 5  # over rows and columns, each given the others; further ones change nothing
 MIN_RELATIVE_SIZE = 1e-9  # of a singular value: rigid motions may cost nothing
+MAX_PREDICTION_STEPS = 10  # of conjugate gradients, each of which improves the prediction
 MAX_LEVERAGE = 0.9  # of an element, in the correction of its residual
 # log of B t^2 / A for a typical element: from constant to proportional noise, and its step
 MIX_RANGE, MIX_STEP = (-10.0, 12.0), 2.0
@@ -358,11 +360,20 @@ def _laws(one: Array, inflation: Array, covariance: Array) -> list[Noise]:
 
 def _unchanged(noise: Noise, u: Array, couplings: NDArray[np.int64]) -> Array:
     """Return residuals with what the others predict in place of changed couplings."""
+    at, none = tuple(couplings.T), np.zeros_like(u)
     if not len(couplings):
         return u
-    u, at = u.copy(), tuple(couplings.T)
-    for _ in range(SCALE_PASSES):  # several in one row predict each other
-        u[at] -= noise.innovations(u)[0][at]
+    sizes, errors = (each[at] for each in noise.innovations(u))
+
+    def product(sigmas: Array) -> Array:
+        """Return the correlations of changed couplings, which predict each other, times sigmas."""
+        changed = none.copy()
+        changed[at] = sigmas * errors
+        return np.asarray(noise.innovations(changed)[0][at] / errors)
+
+    correlations = LinearOperator((len(couplings),) * 2, matvec=product, dtype=float)
+    u = u.copy()
+    u[at] -= errors * cg(correlations, sizes / errors, maxiter=MAX_PREDICTION_STEPS)[0]
     return u
 
 
