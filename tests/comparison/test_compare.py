@@ -8,7 +8,7 @@ import pytest
 import scipy.linalg
 
 import truenewton as tn
-from studies.comparison import LAWS, SCATTER, pair
+from studies.comparison import LAWS, SCATTER, pair, with_glass, without_modes
 from studies.matrices import measured_or_made, true_stiffness
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
 from truenewton.estimation.findings.code import Code, Level
@@ -110,6 +110,12 @@ def test_a_cleaned_matrix_is_doubtful():
     assert c.verdict.faults[0].code is Code.PAIR_PATTERN
 
 
+def test_glass_of_another_thickness_is_doubtful():
+    later = with_glass(EXACT, 0.02 * MATRIX.layout.x / MATRIX.layout.x.max())
+    c = tn.compare(*pair(MATRIX, EXACT, 2, "equal", changed=False, later=later)[:2])
+    assert [each.code for each in c.verdict.faults] == [Code.PAIR_GLASS]
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -119,6 +125,7 @@ def test_a_cleaned_matrix_is_doubtful():
         (lambda k: symmetrised(k.copy()), "symmetric"),
         (lambda k: k[np.random.default_rng(0).permutation(45)], "another order"),
         (lambda k: np.roll(k, (9, 9), axis=(0, 1)), "resemble none"),
+        (lambda k: without_modes(k, slice(-5, None)), "new matrix lacks 5 modes"),
     ],
 )
 def test_matrices_that_cannot_be_compared_are_refused(change, words):

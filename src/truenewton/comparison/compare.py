@@ -29,6 +29,7 @@ from truenewton.records.parts import Parts, refuse_other_mirror
 from truenewton.records.reader import AnyPath
 from truenewton.records.segmented import SegmentedData, refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import counted
 from truenewton.statics.arms import comparable_arms
 
 DERIVED_NOISE = 1e-6  # relative residual below which one matrix was computed from the other
@@ -36,6 +37,9 @@ MAX_RESIDUAL = 0.1  # of the rms element: two matrices of different mirrors diff
 # Spread of the factors without transposition, relative to that with it: between two matrices of
 # one mirror the true factors are near 1, and alpha over sensor gain is not.
 TRANSPOSED_SPREAD_RATIO = 3.0
+# A mode was left out if its singular value is a thousandth of the noise or less. The three rigid
+# motions may be as small if there is little noise; if they were removed, a pattern shows it.
+MAX_EMPTY_MODE, MIN_MISSING_MODES = 1e-3, 4
 MAX_NAMING_PASSES = 20
 
 Body = Campaign | StiffnessMatrix
@@ -168,12 +172,14 @@ def _comparison(
 ) -> Comparison:
     """Return the factors relative to the actuators that did not change."""
     n, means, arrays = pair.layout.n, list[Array](), dict[str, Any]()
+    unchanged = np.ones(n, dtype=bool)
     on = np.zeros(old.layout.n, dtype=bool)
     on[pair.at] = True
     for k, (name, part, own) in enumerate(
         (("alpha", fit.a, fit.covariance[:n, :n]), ("sensor", fit.b, fit.covariance[n:, n:]))
     ):
         found = _changed(part, fit.signs[k], own, alarm)
+        unchanged &= ~found.changed
         means.append(~found.changed / np.count_nonzero(~found.changed))
         about = np.eye(n) - means[k]
         ratio = fit.signs[k] * np.exp(-about @ part)
@@ -205,6 +211,7 @@ def _comparison(
         relative_noise=float(np.sqrt((fit.residual**2).mean())) / fit.size,
         pattern=float(np.linalg.norm(whitened, 2)) / (2.0 * math.sqrt(n)),
         tails=float((square**2).mean() / square.mean() ** 2) - 3.0,
+        resemblance=_resemblance(fit, unchanged),
         excess=excess,
         matching=pair.matching,
         converged=fit.converged,
@@ -228,6 +235,23 @@ def _noise_of_repeat(pair: Pair, fit: PairFit, old: Side, repeat: Side) -> Noise
         factors = fit.signs[0][:, None] * fit.signs[1] / np.exp(fit.a[:, None] + fit.b)
         same, repeated = pair.new * factors, repeated * factors
     return fit_pair(same, repeated, pair.inflation, pair.covariance).noise
+
+
+def _resemblance(fit: PairFit, unchanged: NDArray[np.bool_]) -> float:
+    """Return by how many sigmas the factors of rows and of columns are equal, not independent.
+
+    Glass that becomes stiffer somewhere multiplies rows and columns there alike, to first order.
+    """
+    half = np.flatnonzero(unchanged)
+    m = len(half)
+    about = np.eye(m) - 1.0 / m
+    logs = [about @ each[half] for each in (fit.a, fit.b)]
+    parts = fit.covariance.reshape(2, len(unchanged), 2, -1)[:, half][..., half]
+    rows, both, columns = (about @ parts[i, :, j] @ about for i, j in ((0, 0), (0, 1), (1, 1)))
+    for own, values in ((rows, logs[0]), (columns, logs[1])):  # the scatter of the population
+        own += max(0.0, (values @ values - np.trace(own)) / (m - 1)) * about
+    variance = np.sum(rows * columns) + np.sum(both * both.T)
+    return float((logs[0] @ logs[1] - np.trace(both)) / np.sqrt(variance))
 
 
 @dataclass(frozen=True)
@@ -265,13 +289,15 @@ def _changed(values: Array, signs: Array, covariance: Array, alarm: float) -> De
 
 def _refuse_processed(pair: Pair) -> None:
     """Raise CampaignMismatch if one matrix is not a measurement of the same kind as the other."""
+    residual, missing = rough_residual(pair.old, pair.new), []
     for name, k in (("old", pair.old), ("new", pair.new)):
         facts = MatrixFacts(k, comparable_arms(pair.layout))
+        noise = residual * np.sqrt((k**2).mean())
+        missing.append(np.count_nonzero(facts.singular_values < MAX_EMPTY_MODE * noise))
         for finding in (*balance_effects(facts), *orientation_effects(facts)):
             if finding.code is not Code.TRANSPOSED_STIFFNESS:  # the comparison itself tells
                 raise CampaignMismatch(f"the {name} matrix: {finding.name}", remedy=finding.remedy)
     logs, signs = rough_factors(pair.old, pair.new)
-    residual = rough_residual(pair.old, pair.new)
     crossed, _ = rough_factors(pair.old, pair.new.T)
     spread, spread_transposed = (
         float(np.linalg.norm(each.std(axis=1))) for each in (logs, crossed)
@@ -290,6 +316,12 @@ def _refuse_processed(pair: Pair) -> None:
         raise CampaignMismatch(
             "one of the two matrices was computed from the other: they differ by less than noise",
             remedy="give two matrices that were measured independently",
+        )
+    if abs(missing[1] - missing[0]) >= MIN_MISSING_MODES:
+        name, count = ("old", "new")[int(np.argmax(missing))], abs(missing[1] - missing[0])
+        raise CampaignMismatch(
+            f"the {name} matrix lacks {counted(int(count), 'mode')} that the other contains",
+            remedy="give two complete matrices, or two with the same modes",
         )
     if residual > MAX_RESIDUAL:
         raise CampaignMismatch(

@@ -30,6 +30,7 @@ from truenewton.statics.layout import Layout
 # Largest singular value of n x n noise over 2 sqrt(n): 0.9 to 1.05 if it is noise.
 MAX_PATTERN = 1.15
 MAX_TAILS = 1.5  # excess kurtosis of the residual: at most 0.8 for the right noise law
+MAX_RESEMBLANCE = 4.0  # sigmas; at most 3 if alpha and gains changed independently
 MAX_EXCESS = 1.2  # rms residual relative to that of a repeat; days differ in noise by less
 
 
@@ -65,6 +66,9 @@ class Comparison(Result):
         Largest singular value of the whitened residual over 2 sqrt(n): about 1 if it is noise.
     tails
         Excess kurtosis of the residual: 0 if the noise law is right.
+    resemblance
+        Sigmas by which the changes of alpha and of the sensor gains are equal: stiffness of the
+        glass multiplies both alike.
     excess
         Rms residual over that of two matrices of one day; NaN if no repeat was given.
     matching
@@ -97,6 +101,7 @@ class Comparison(Result):
     relative_noise: float
     pattern: float
     tails: float
+    resemblance: float
     excess: float
     matching: Matching
     converged: bool
@@ -129,6 +134,8 @@ class Comparison(Result):
             found.append(Finding.of(Code.PAIR_PATTERN, pattern=self.pattern))
         if self.tails > MAX_TAILS:
             found.append(Finding.of(Code.PAIR_NOISE, tails=self.tails))
+        if self.resemblance > MAX_RESEMBLANCE:
+            found.append(Finding.of(Code.PAIR_GLASS, sigmas=self.resemblance))
         if self.excess > MAX_EXCESS:
             found.append(Finding.of(Code.PAIR_EXCESS, excess=self.excess))
         if not self.converged:
@@ -185,6 +192,7 @@ COMPARISON = FileFormat(
         Keyword("NOISE", "relative_noise", "rms residual over rms element"),
         Keyword("PATTERN", "pattern", "largest pattern of the residual over noise"),
         Keyword("TAILS", "tails", "excess kurtosis of the residual"),
+        Keyword("RESEMBLE", "resemblance", "sigmas by which changes of alpha and gain agree"),
         Keyword("EXCESS", "excess", "rms residual over that of the repeat", absent=np.nan),
         Keyword("CONVERGE", "converged", "the fit converged", kind="bool"),
         Keyword("VERDICT", lambda c: str(c.verdict.level), "on the stated errors", kind="str"),

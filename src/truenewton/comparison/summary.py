@@ -133,7 +133,7 @@ def values(c: Comparison | Parts[Comparison] | Change) -> dict[str, Any]:
         }
     return {
         **attributes(c, "instrument", "common", "common_error", "alpha_scatter", "sensor_scatter"),
-        **attributes(c, "noise_law", "relative_noise", "pattern", "tails", "excess"),
+        **attributes(c, "noise_law", "relative_noise", "pattern", "tails", "resemblance", "excess"),
         "actuators": actuators,
         "couplings": [
             {"actuator": actuator, "sensor": sensor, "change": size}

@@ -483,6 +483,12 @@ ENTRIES: dict[Code, Entry] = {
         "the noise has heavier tails than any of the noise laws: excess kurtosis {tails:.1f}",
         "compare two matrices, or two campaigns, that were measured in the same way",
     ),
+    Code.PAIR_GLASS: _fact(
+        Level.DOUBTFUL,
+        "changes of alpha and of sensor gains resemble each other ({sigmas:.1f} sigma), as if the"
+        " stiffness of the glass had changed",
+        "check that both matrices are of one mirror with the same gap and temperature",
+    ),
     Code.PAIR_EXCESS: _fact(
         Level.DOUBTFUL,
         "what factors of actuators and sensors leave is {excess:.1f} times as large as the scatter"

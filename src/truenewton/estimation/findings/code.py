@@ -163,6 +163,7 @@ class Code(StrEnum):
     # Two matrices compared.
     PAIR_PATTERN = "pair-pattern"
     PAIR_NOISE = "pair-noise"
+    PAIR_GLASS = "pair-glass"
     PAIR_EXCESS = "pair-excess"
     PAIR_NOT_CONVERGED = "pair-not-converged"
     # Several segments; no alpha at all.
