@@ -228,12 +228,11 @@ def read_alpha(path: AnyPath, *, segment: int | None = None) -> AnyCalibration:
     return _required(data, Calibration, "give what `calibrate -o` wrote", path)
 
 
-def read_calibrations(*paths: AnyPath, segment: int | None = None) -> tuple[AnyCalibration, ...]:
-    """Read several calibrations, or return () if one of the paths contains something else."""
+def read_compared(*paths: AnyPath, segment: int | None = None) -> tuple[Read, ...]:
+    """Read two calibrations, or two stiffness files; () if there are not two, or other data."""
     files = [read_file(path) for path in paths if not Path(path).is_dir()]
-    if len(files) < len(paths) or any("CALIBRATION" not in file.extensions for file in files):
-        return ()
-    every = [(body_or_parts_from(file, CALIBRATIONS), file.path) for file in files]
-    return tuple(
-        one if segment is None else select_segment(one, segment, path) for one, path in every
-    )
+    if len(files) == len(paths) == 2 and any(
+        all(name in file.extensions for file in files) for name in ("CALIBRATION", "STIFFNESS")
+    ):
+        return tuple(read_chosen(path, segment=segment) for path in paths)
+    return ()

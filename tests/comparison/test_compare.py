@@ -239,3 +239,7 @@ def test_the_command_prints_and_writes(tmp_path, inside):
     assert code == 0
     assert "alpha changed" in out
     assert len(table.read_text(encoding="utf-8").splitlines()) == 46
+    page = tmp_path / "changes.html"
+    assert inside("report", old, new, "-o", page)[1].startswith("Sound. 4 of 45 actuators changed.")
+    shown = page.read_text(encoding="utf-8")
+    assert "change of sensor gain" in shown

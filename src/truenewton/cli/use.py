@@ -45,8 +45,8 @@ def run_report(
     quiet: bool = options.QUIET,
 ) -> None:
     """Write verdict, map, residuals and inputs on one page, or the change between two files."""
-    from truenewton.comparison.calibrations import compare_calibrations
-    from truenewton.reading import read_alpha, read_calibrations, read_chosen
+    from truenewton.comparison.compare import compare
+    from truenewton.reading import read_alpha, read_chosen, read_compared
     from truenewton.report.findings import investigate
     from truenewton.report.page.page import write_report
     from truenewton.report.verdict import headline_of
@@ -55,10 +55,10 @@ def run_report(
     refuse_existing(output, overwrite=overwrite)
     findings: Reported
     with busy("investigating"), about(paths):
-        pair = read_calibrations(*paths, segment=segment) if len(paths) == 2 else ()
+        pair = read_compared(*paths, segment=segment)
         if pair:
             edges = options.edges_of(mirror, pair[0].layout)
-            findings = compare_calibrations(*pair)
+            findings = compare(*pair)
         else:
             data = read_chosen(*paths, segment=segment)
             edges = options.edges_of(mirror, data.layout)

@@ -41,6 +41,7 @@ from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, normal_isf
 
 MAX_STEPS = 12
+MAX_STEP = 0.3  # of a logarithm
 STEP_TOLERANCE = 1e-3  # of its error, below which a step ends the iteration
 LAW_STEPS = 6  # in which the variances follow the residuals; then they are kept
 SCALE_PASSES = 5  # over rows and columns, each given the others; further ones change nothing
@@ -408,7 +409,7 @@ def _iterated(
         noise = noise.with_leverage(t, covariance)
         if converged:
             break
-        change = covariance @ score
+        change = np.clip(covariance @ score, -MAX_STEP, MAX_STEP)
         a, b = a + change[:n], b + change[n:]
         errors = np.sqrt(np.diag(covariance))
         converged = step >= 2 and bool((np.abs(change) < STEP_TOLERANCE * errors).all())

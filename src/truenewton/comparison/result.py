@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.verdict import verdict_on_parts
-from truenewton.comparison.calibrations import write_table
+from truenewton.comparison.calibrations import Change, write_table
 from truenewton.comparison.pairing import Matching
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding, Verdict, judged
@@ -122,7 +122,7 @@ class Comparison(Result):
 
     def plot(self, layer: str = "alpha", ax: Axes | None = None) -> Axes:
         """Draw the change of 'alpha' or 'sensor' on the map of the actuators; return the axes."""
-        layers = {each.key: each for each in layers_of(self)}
+        layers = {each.key: each for each in change_layers(self)}
         with on_screen():
             return layers[layer].plot(self.layout, ax)
 
@@ -148,8 +148,13 @@ class Comparison(Result):
         return judged(self.findings)
 
 
-def layers_of(c: Comparison | Parts[Comparison]) -> tuple[Layer, ...]:
-    """Return the changes of alpha and of the sensor gains, for maps and tables."""
+AnyChange = Change | Comparison | Parts[Comparison]
+
+
+def change_layers(c: AnyChange) -> tuple[Layer, ...]:
+    """Return what changed of the actuators, for maps and tables."""
+    if isinstance(c, Change):
+        return c.layers
     column = c.column if isinstance(c, Parts) else lambda name: getattr(c, name)
     layers = []
     for key, name in (("alpha", "alpha"), ("sensor", "sensor gain")):

@@ -36,8 +36,23 @@ def lines(c: Comparison | Parts[Comparison] | Change) -> Iterator[str]:
             else:
                 yield from lines(c.found[number])
         return
-    yield f"{c.instrument}: {counted(int(c.layout.enabled.sum()), 'actuator')} compared"
-    yield row("common factor", with_error(c.common, c.common_error), "alpha times sensor gain")
+    yield headline(c)
+    yield from (row(*each) for each in figures(c))
+    if changed := [*changed_actuators(c)]:
+        yield f"  {'actuator':<12}{'alpha, new / old':<30}sensor gain, new / old"
+        yield from (f"  {name:<12}{alpha:<30}{gain}" for name, alpha, gain in changed[:MAX_ROWS])
+    yield from verdict_lines(c.verdict)
+    yield from (f"  undetectable here: {text}" for text in UNDETECTABLE)
+
+
+def headline(c: Comparison) -> str:
+    """Return what was compared."""
+    return f"{c.instrument}: {counted(int(c.layout.enabled.sum()), 'actuator')} compared"
+
+
+def figures(c: Comparison) -> Iterator[tuple[str, str, str]]:
+    """Yield name, value and note of what is common to the actuators, or is about a few."""
+    yield "common factor", with_error(c.common, c.common_error), "alpha times sensor gain"
     for name, changed, scatter, errors in (
         ("alpha", c.alpha_changed, c.alpha_scatter, c.alpha_ratio_error),
         ("sensor gain", c.sensor_changed, c.sensor_scatter, c.sensor_ratio_error),
@@ -45,19 +60,40 @@ def lines(c: Comparison | Parts[Comparison] | Change) -> Iterator[str]:
         count = counted(int(changed.sum()), "actuator") if changed.any() else "none"
         error = percent(float(np.nanmedian(errors)))
         others = f"scatter of the others {percent(scatter)} (noise removed), error of one {error}"
-        yield row(f"{name} changed", count, others)
+        yield f"{name} changed", count, others
     for actuator, sensor, size in c.couplings[:MAX_COUPLINGS]:
         where = f"actuator {actuator}, sensor {sensor}"
-        yield row("coupling changed", where, f"{percent(size)} of the diagonal")
+        yield "coupling changed", where, f"{percent(size)} of the diagonal"
     if len(c.couplings) > MAX_COUPLINGS:
-        yield row("", f"and {counted(len(c.couplings) - MAX_COUPLINGS, 'coupling')} more")
-    yield row("noise", percent(c.relative_noise), f"of the rms element, independent {c.noise_law}")
+        yield "", f"and {counted(len(c.couplings) - MAX_COUPLINGS, 'coupling')} more", ""
+    yield "noise", percent(c.relative_noise), f"of the rms element, independent {c.noise_law}"
     if np.isfinite(c.excess):
-        yield row("residual / repeat", f"{c.excess:.2f}", "1 if only factors changed")
-    yield from _matching(c)
-    yield from _table(c)
-    yield from verdict_lines(c.verdict)
-    yield from (f"  undetectable here: {text}" for text in UNDETECTABLE)
+        yield "residual / repeat", f"{c.excess:.2f}", "1 if only factors changed"
+    for name, ids in (
+        ("only in the old matrix", c.matching.only_old),
+        ("only in the new matrix", c.matching.only_new),
+        ("no such row any more", c.matching.lost_rows),
+        ("no such column any more", c.matching.lost_columns),
+    ):
+        if ids:
+            yield name, named("actuator", ids, MAX_ROWS), "not compared"
+    for name, pairs in (
+        ("coil cables exchanged", c.matching.exchanged_rows),
+        ("sensor cables exchanged", c.matching.exchanged_columns),
+    ):
+        if pairs:
+            yield name, ", ".join(f"{i} in the place of {j}" for i, j in pairs[:MAX_ROWS]), ""
+
+
+def changed_actuators(c: Comparison) -> Iterator[tuple[str, str, str]]:
+    """Yield ID, alpha and sensor gain of those that changed, the largest change first."""
+    changed = np.flatnonzero(c.changed)
+    far = np.abs(np.log(np.abs(c.alpha_ratio))) + np.abs(np.log(np.abs(c.sensor_ratio)))
+    for k in changed[np.argsort(-far[changed], kind="stable")]:
+        alpha = with_error(float(c.alpha_ratio[k]), float(c.alpha_ratio_error[k]))
+        gain = with_error(float(c.sensor_ratio[k]), float(c.sensor_ratio_error[k]))
+        marks = [" changed" if each[k] else "" for each in (c.alpha_changed, c.sensor_changed)]
+        yield str(c.layout.id[k]), alpha + marks[0], gain + marks[1]
 
 
 def _lines_of_calibrations(c: Change) -> Iterator[str]:
@@ -76,39 +112,6 @@ def _lines_of_calibrations(c: Change) -> Iterator[str]:
     if len(c.changed) > MAX_ROWS:
         yield f"  and {len(c.changed) - MAX_ROWS} more"
     yield "  Two stiffness matrices would show smaller changes, and those of the sensors."
-
-
-def _matching(c: Comparison) -> Iterator[str]:
-    """Yield how actuators, rows and columns were matched, if they differed."""
-    for name, ids in (
-        ("only in the old matrix", c.matching.only_old),
-        ("only in the new matrix", c.matching.only_new),
-        ("no such row any more", c.matching.lost_rows),
-        ("no such column any more", c.matching.lost_columns),
-    ):
-        if ids:
-            yield row(name, named("actuator", ids, MAX_ROWS), "not compared")
-    for name, pairs in (
-        ("coil cables exchanged", c.matching.exchanged_rows),
-        ("sensor cables exchanged", c.matching.exchanged_columns),
-    ):
-        if pairs:
-            yield row(name, ", ".join(f"{i} in the place of {j}" for i, j in pairs[:MAX_ROWS]))
-
-
-def _table(c: Comparison) -> Iterator[str]:
-    """Yield the actuators that changed; if there are none, the largest deviation."""
-    changed = np.flatnonzero(c.alpha_changed | c.sensor_changed)
-    if not changed.size:
-        return
-    far = np.abs(np.log(np.abs(c.alpha_ratio))) + np.abs(np.log(np.abs(c.sensor_ratio)))
-    shown = changed[np.argsort(-far[changed], kind="stable")][:MAX_ROWS]
-    yield f"  {'actuator':<12}{'alpha, new / old':<30}sensor gain, new / old"
-    for k in shown:
-        alpha = with_error(float(c.alpha_ratio[k]), float(c.alpha_ratio_error[k]))
-        gain = with_error(float(c.sensor_ratio[k]), float(c.sensor_ratio_error[k]))
-        marks = [" changed" if each[k] else "" for each in (c.alpha_changed, c.sensor_changed)]
-        yield f"  {c.layout.id[k]:<12}{alpha + marks[0]:<30}{gain + marks[1]}"
 
 
 def values(c: Comparison | Parts[Comparison] | Change) -> dict[str, Any]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,16 +13,21 @@ from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.summary import MEANINGS, as_sentences, summary_rows
 from truenewton.calibration.verdict import without_unusable
 from truenewton.comparison.calibrations import Change
+from truenewton.comparison.result import AnyChange, Comparison
+from truenewton.comparison.summary import figures
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
 from truenewton.records.cycle import Source
-from truenewton.records.parts import Parts, has_parts
+from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.report.findings import Findings
 from truenewton.rounding import counted, named, percent, significant, with_error
 
-Reported = Findings | Change | Parts[Calibration]
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
+
+Reported = Findings | AnyChange | Parts[Calibration]
 Numbers = tuple[tuple[str, str, str], ...]  # name, value and note
 
 
@@ -50,7 +56,9 @@ def headline_of(findings: Reported) -> Headline:
     """Return the verdict on what a page shows."""
     if isinstance(findings, Change):
         return _on_change(findings)
-    if has_parts(findings):
+    if of_comparison(findings):
+        return _on_comparison(findings)
+    if of_segments(findings):
         return _on_parts(findings)
     c = findings.calibration
     if c is None:
@@ -130,6 +138,34 @@ def _on_change(change: Change) -> Headline:
         _ratio(change),
     )  # fmt: skip
     return Headline(level, title, sentence, numbers, tuple(advice))
+
+
+def of_comparison(c: object) -> TypeIs[Comparison | Parts[Comparison]]:
+    """Return whether something is what changed between matrices or campaigns."""
+    return all(isinstance(each, Comparison) for each in by_number(c).values())
+
+
+def of_segments(c: object) -> TypeIs[Parts[Calibration]]:
+    """Return whether something is the calibrations of several segments."""
+    return has_parts(c) and not of_comparison(c)
+
+
+def _on_comparison(c: Comparison | Parts[Comparison]) -> Headline:
+    """Return the verdict on what changed between two matrices or campaigns."""
+    found = by_number(c).values()
+    changed = np.concatenate([one.layout.id[one.changed] for one in found]).tolist()
+    compared = sum(int(one.layout.enabled.sum()) for one in found)
+    couplings = sum(len(one.couplings) for one in found)
+    sentence, advice = f"None of {counted(compared, 'actuator')} changed.", tuple[Fault, ...]()
+    if changed:
+        sentence = f"{len(changed)} of {counted(compared, 'actuator')} changed."
+        remedy = "check their coils and sensors, and multiply the old alpha by the ratio"
+        advice = (Fault(f"changed: {named('actuator', changed, 8)}", remedy),)
+    if couplings:
+        sentence += f" {counted(couplings, 'coupling')} changed without its row and column."
+    numbers = tuple(islice(figures(c), 3)) if isinstance(c, Comparison) else ()
+    shown = _headline(c.verdict, sentence, numbers)
+    return replace(shown, advice=(*advice, *shown.advice))
 
 
 def sources_of(c: AnyCalibration) -> tuple[Source, ...]:

@@ -31,6 +31,8 @@ from truenewton.calibration.summary import (
     summary_rows,
 )
 from truenewton.comparison.calibrations import Change
+from truenewton.comparison.result import Comparison
+from truenewton.comparison.summary import UNDETECTABLE, changed_actuators, figures
 from truenewton.estimation.findings.estimate import typical
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
@@ -50,11 +52,11 @@ from truenewton.modal.summary import (
 )
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
-from truenewton.records.parts import Parts, has_parts
+from truenewton.records.parts import Parts, by_number
 from truenewton.report.figures import columns_of_shapes, findings_figures
 from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowResiduals
 from truenewton.report.page.views import Actuators, calibration_views, change_views, palette
-from truenewton.report.verdict import Reported, headline_of, sources_of
+from truenewton.report.verdict import Reported, headline_of, of_comparison, of_segments, sources_of
 from truenewton.rounding import counted, percent, significant, with_error
 
 # Bokeh's script, part of the page: only what the figures need.
@@ -104,7 +106,11 @@ def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> 
     sections: tuple[Section, ...] = ()
     drawn: dict[str, str] = {}
     actuators: Actuators | None = None
-    if has_parts(findings):
+    if of_comparison(findings):
+        title, heading = f"{findings.instrument}: what changed", findings.summary().split("\n")[0]
+        actuators, tables = change_views(findings, edges), []
+        sections = tuple(comparison_sections(findings))
+    elif of_segments(findings):
         title, heading = f"{findings.instrument}: calibration of its segments", headline(findings)
         actuators, sections = calibration_views(findings, None, edges), segment_sections(findings)
         tables = [_files(sources_of(findings), "Files")]
@@ -143,6 +149,35 @@ def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> 
         bokeh="\n".join(BOKEH.js_raw),
         payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )  # fmt: skip
+
+
+def comparison_sections(c: Comparison | Parts[Comparison]) -> Iterator[Section]:
+    """Yield what changed, and the couplings that changed by themselves, of each segment."""
+    for number, one in by_number(c).items():
+        key, title = (
+            (f"segment-{number}", f"Segment {number}") if number else ("changes", "Changes")
+        )
+        couplings = tuple((str(i), str(j), percent(size)) for i, j, size in one.couplings)
+        yield Section(
+            key,
+            title,
+            tuple(f"Undetectable here: {text}." for text in UNDETECTABLE),
+            tables=(
+                TextTable(
+                    "Actuators that changed",
+                    ("actuator", "alpha, new / old", "sensor gain, new / old"),
+                    tuple(changed_actuators(one)),
+                ),
+                TextTable(
+                    "Couplings that changed by themselves",
+                    ("actuator", "sensor", "change relative to the diagonal"),
+                    couplings,
+                ),
+                TextTable(
+                    "All figures", ("figure", "value", "note"), tuple(figures(one)), wraps=True
+                ),
+            ),
+        )
 
 
 def _summaries(change: Change) -> TextTable:

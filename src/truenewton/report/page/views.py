@@ -36,6 +36,7 @@ from truenewton.arrays import Array
 from truenewton.calibration.layers import layers_of
 from truenewton.calibration.result import AnyCalibration
 from truenewton.comparison.calibrations import Change
+from truenewton.comparison.result import AnyChange, change_layers
 from truenewton.figures.layers import Layer
 from truenewton.figures.maps import (
     bears_names,
@@ -148,14 +149,17 @@ def alpha_by_ring(
     return plot
 
 
-def change_by_ring(source: ColumnDataSource, change: Change, layers: tuple[Layer, ...]) -> Plot:
-    """Return the change by ring in sigmas, with the limit."""
+def change_by_ring(
+    source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ...], limit: float
+) -> Plot:
+    """Return the first layer of a change by ring, with its limit if there is one."""
     plot = _empty_plot()
-    for level in (-change.limit, 0.0, change.limit):
-        plot.add_layout(Span(location=level, dimension="width", line_color=FAINT,
-                             line_dash="solid" if level == 0.0 else "dashed"))  # fmt: skip
-    _actuator_points(plot, source, change.one.layout, "sigmas", layers)
-    plot.yaxis.axis_label = "change (sigma)"
+    for level in (-limit, 0.0, limit):
+        if np.isfinite(level):
+            plot.add_layout(Span(location=level, dimension="width", line_color=FAINT,
+                                 line_dash="solid" if level == 0.0 else "dashed"))  # fmt: skip
+    _actuator_points(plot, source, layout, layers[0].key, layers)
+    plot.yaxis.axis_label = layers[0].title
     return plot
 
 
@@ -257,15 +261,18 @@ def calibration_views(
     return _with_map("Map of the mirror", source, c.layout, layers, edges, by_ring)
 
 
-def change_views(change: Change, edges: Sequence[Array] = ()) -> Actuators:
+def change_views(change: AnyChange, edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of what changed; edges (vertices, 2) [m]."""
-    layers, layout = change.layers, change.one.layout
+    layers, layout, limit = change_layers(change), change.layout, np.nan
     source, title = actuator_source(layout, layers), f"Change by {group_name(layout)}"
-    caption = (
-        f"{title}, in sigmas. The dashed lines ({change.limit:.1f} sigma) are exceeded by chance in"
-        " 1 % of comparisons."
-    )
-    by_ring = View("rings", title, change_by_ring(source, change, layers), caption)
+    caption = f"{title}: new over old alpha, relative to the mean of those that did not change."
+    if isinstance(change, Change):
+        limit = change.limit
+        caption = (
+            f"{title}, in sigmas. The dashed lines ({limit:.1f} sigma) are exceeded by chance in"
+            " 1 % of comparisons."
+        )
+    by_ring = View("rings", title, change_by_ring(source, layout, layers, limit), caption)
     return _with_map("Map of the change", source, layout, layers, edges, by_ring)
 
 
