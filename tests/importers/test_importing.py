@@ -555,6 +555,13 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     """What the supervisor reads: its checks, its singular vectors, and the forces are true."""
     rows = supervisor_folder(tmp_path / "meas", positions="rings")
     calibration = tn.calibrate(tn.stiffness_from(tmp_path / "meas").matrix, "svd")
+    calibration.write(tmp_path / "alpha.fits")
+    for each in (calibration, tn.read_calibration(tmp_path / "alpha.fits")):
+        number = each.layout.number
+        assert sorted(number) != number.tolist()
+        np.testing.assert_array_equal(each.table["NUMBER"], number)
+    assert "numbering               IDs are channels" in calibration.summary()
+    assert calibration.plot("mirror_number") is not None
     known = np.isfinite(CASE.alpha[rows])
     layout = replace(calibration.layout, enabled=known)
     calibration = replace(calibration, layout=layout, alpha=CASE.alpha[rows])

@@ -30,7 +30,7 @@ from truenewton.files.format import (
     quantities,
 )
 from truenewton.records.cycle import Source
-from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
+from truenewton.records.file import ID, INSTRUMENT, NUMBER, NZ, SOURCES, X, Y
 from truenewton.records.parts import Parts
 from truenewton.records.result import Result, verdict_of
 from truenewton.rounding import counted, named
@@ -319,7 +319,7 @@ class Calibration(Result, EstimateFacts):
         ----------
         layer
             'alpha', 'e_alpha', 'e_stat', 'e_syst', 'e_cycle', 'leverage', 'sensor_gain',
-            'sensor_dx', 'sensor_dy', 'halves' or 'findings', as in the report.
+            'sensor_dx', 'sensor_dy', 'halves', 'mirror_number' or 'findings', as in the report.
         cmap, vmin, vmax
             Colour map of matplotlib, and its ends, instead of those of the report.
         annotate
@@ -361,6 +361,7 @@ ACTUATORS = TableFormat(
         Column("E_SYST", "systematic_error"),
         Column("E_CYCLE", "cycle_error"),
         Column("HALVES", "halves", absent=None),
+        NUMBER,
         NZ,
     ),
 )

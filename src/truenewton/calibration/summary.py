@@ -213,6 +213,8 @@ def _results(c: Calibration) -> Iterator[Row]:
 
 def _details(c: Calibration) -> Iterator[Row]:
     """Yield the rows of what else was found, and of what limits alpha."""
+    if c.layout.number is not None:
+        yield "numbering", "IDs are channels", "number on the mirror: NUMBER of the table"
     if budget := scale_budget(c.scale_errors):
         parts = (f"{what} {percent(part)}" for what, part in budget.items())
         yield "budget of the scale", ", ".join(parts), ""

@@ -66,6 +66,8 @@ class Layer:
         """(n,) the values as text."""
         if self.errors is not None:
             return tuple(map(with_error, self.values.tolist(), self.errors.tolist()))
+        if (self.values % 1 == 0).all():
+            return tuple(f"{value:.0f}" for value in self.values.tolist())
         sign = "+" if self.centre == 0.0 else ""
         values = self.values.tolist()
         return tuple((sign if value > 0 else "") + significant(value) for value in values)

@@ -26,7 +26,14 @@ from truenewton.estimation.matrix.order import (
     share_by_distance,
 )
 from truenewton.estimation.matrix.screen import released, screen_matrix
-from truenewton.importers.inputs import Given, NoPositions, Rings, date_of, read_given
+from truenewton.importers.inputs import (
+    Given,
+    NoPositions,
+    Rings,
+    date_of,
+    numbers_of,
+    read_given,
+)
 from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_newton_per_metre
 from truenewton.importers.stored import read_stored
 from truenewton.quantities import taking_units
@@ -140,6 +147,10 @@ def stiffness_from(
         *judged.lines,
         ("date", f"{when:%Y-%m-%d %H:%M:%S} ({how})"),
     ]
+    if given.numbers is not None and given.channels is not None and ids is None:
+        number = numbers_of(record.layout.id, given.numbers)
+        record = replace(record, layout=replace(record.layout, number=number))
+        lines.append(("numbering", "ID: channel; NUMBER: on the mirror, by act2mir_act.txt"))
     said = [f"{name}: {record.layout.n} actuators, from {given.path or 'arrays'}{given.kind}"]
     said += [f"  {what:<13}{how}" for what, how in lines]
     return Imported(record, tuple(said), judged.transposed, judged.balanced)

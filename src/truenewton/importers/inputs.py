@@ -92,6 +92,8 @@ class Given:
         The known mirror that the positions are from, or None.
     found
         The files of a folder that were found.
+    numbers
+        The table of the number on the mirror of each channel, or None.
     """
 
     item: Item
@@ -105,6 +107,7 @@ class Given:
     by_ring: Positions | None = None
     mirror: Rings | None = None
     found: tuple[str, ...] = ()
+    numbers: Path | None = None
 
     @property
     def name(self) -> str:
@@ -153,6 +156,7 @@ def _in_folder(
     if file is not None:
         found = read_positions(file)
     kind, how, channels, by_ring = "opticalib's configuration", "", None, None
+    numbers = find_file(NUMBERS, path, given, conf)
     folders, used = (path, given, conf), mirror if found is None else None
     files = _files_in(*folders)
     if (path / CHANNELS).is_file():
@@ -161,7 +165,6 @@ def _in_folder(
             found, file, how = places_of(folders, mirror, channels, files)
         elif file is not None:
             every, found = found, of_channels(found, channels, file)
-            numbers = find_file(NUMBERS, path, given)
             if found is not every and numbers is not None:
                 by_ring = of_channels(every, numbers_of(channels, numbers), file)
     elif found is None:
@@ -178,7 +181,7 @@ def _in_folder(
         positions = replace(positions, notes=(how, *positions.notes))
     return Given(
         item, which, stored, f", {kind}", os.fspath(path), positions, where, channels, by_ring,
-        used, files,
+        used, files, numbers,
     )  # fmt: skip
 
 

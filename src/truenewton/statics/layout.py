@@ -17,7 +17,8 @@ from truenewton.quantities import Quantity, convert_quantities, taking_units
 MAX_DISTANCE = 10.0  # of an actuator from the axis [m]; beyond it the unit is wrong
 MAX_ACTUATORS = 20000
 PLACE = ("x", "y", "nz")
-DTYPES: dict[str, Any] = {"id": np.int64, "enabled": np.bool_, "segment": np.int64}
+INTEGERS = dict.fromkeys(("id", "segment", "number"), np.int64)
+DTYPES: dict[str, Any] = {**INTEGERS, "enabled": np.bool_}
 POSITION_TOLERANCE = 1e-6  # [m], and of NZ: the precision of four bytes, or of short tables
 
 
@@ -39,6 +40,8 @@ class Layout:
         (n,) standard uncertainties of x and y [m]; None if not declared.
     segment
         (n,) number of the segment of each actuator, from 1; None for a mirror in one piece.
+    number
+        (n,) number on the mirror if ``id`` is the channel of the electronics, otherwise None.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Layout:
     QUANTITIES: ClassVar = {
         "x": Quantity("m"), "y": Quantity("m"), "x_error": Quantity("m"), "y_error": Quantity("m"),
         "id": Quantity(), "nz": Quantity(), "enabled": Quantity(), "segment": Quantity(),
+        "number": Quantity(),
     }  # fmt: skip
 
     id: NDArray[np.int64]
@@ -67,6 +71,7 @@ class Layout:
     x_error: Array | None = None
     y_error: Array | None = None
     segment: NDArray[np.int64] | None = None
+    number: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         convert_quantities(self)
