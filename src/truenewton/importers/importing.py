@@ -136,7 +136,7 @@ def stiffness_from(
     name = instrument or given.name
     known = given.mirror.name if given.mirror else None
     check = partial(_checked, k, name=name, when=when, exclude=exclude, mirror=known)
-    record, judged, positions, noted = _first_that_fits(given, ways, check)
+    record, judged, positions, noted = _numbered(_first_that_fits(given, ways, check), given, ids)
     of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []
     lines += [
@@ -147,13 +147,20 @@ def stiffness_from(
         *judged.lines,
         ("date", f"{when:%Y-%m-%d %H:%M:%S} ({how})"),
     ]
-    if given.numbers is not None and given.channels is not None and ids is None:
-        number = numbers_of(record.layout.id, given.numbers)
-        record = replace(record, layout=replace(record.layout, number=number))
-        lines.append(("numbering", "ID: channel; NUMBER: on the mirror, by act2mir_act.txt"))
     said = [f"{name}: {record.layout.n} actuators, from {given.path or 'arrays'}{given.kind}"]
     said += [f"  {what:<13}{how}" for what, how in lines]
     return Imported(record, tuple(said), judged.transposed, judged.balanced)
+
+
+def _numbered(found: Checked, given: Given, ids: object) -> Checked:
+    """Add the numbers on the mirror to a matrix whose IDs are channels, if they are known."""
+    record, judged, positions, noted = found
+    if given.numbers is None or given.channels is None or ids is not None:
+        return found
+    number = numbers_of(record.layout.id, given.numbers)
+    record = replace(record, layout=replace(record.layout, number=number))
+    how = "ID: channel; NUMBER: on the mirror, by act2mir_act.txt"
+    return record, judged, positions, [*noted, ("numbering", how)]
 
 
 def _checked(
