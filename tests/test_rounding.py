@@ -5,8 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from truenewton.cli.terminal import print_result, table_lines
-from truenewton.rounding import chance_text, percent, significant, to_digits, with_error
+from truenewton.cli.terminal import print_result
+from truenewton.rounding import (
+    WIDTH,
+    chance_text,
+    percent,
+    row,
+    significant,
+    table_lines,
+    to_digits,
+    with_error,
+    wrapped,
+)
 
 
 @pytest.mark.parametrize(
@@ -64,6 +74,18 @@ def test_json_has_null_for_what_is_not_finite(capsys):
 def test_a_table_is_aligned_in_columns():
     lines = table_lines("title", ("name", "x"), ("a", "1.0"), ("long", "10.0"))
     assert list(lines) == ["title", "  name     x", "  a      1.0", "  long  10.0"]
+
+
+def test_a_long_line_continues_below_its_last_column():
+    note = "E_ALPHA, one sigma; largest: actuator 35, 1.7 %, and some more words"
+    lines = list(wrapped([row("typical error of alpha", "1.7 %", note), "", "short"]))
+    assert [lines[0].index("E_ALPHA"), len(lines[1]) - len(lines[1].lstrip())] == [56, 56]
+    assert lines[2:] == ["", "short"]
+    assert max(map(len, lines)) <= WIDTH
+    assert list(wrapped(["in " + 30 * "long/"])) == [
+        "in",
+        "  " + 30 * "long/",
+    ]  # a path stays whole
 
 
 def test_chance_is_told_in_words():

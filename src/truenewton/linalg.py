@@ -254,7 +254,7 @@ def least_squares(matrix: Array, right: Array) -> LeastSquares:
     q, r = scipy.linalg.qr(matrix / length, mode="economic", check_finite=False)
     if not np.abs(np.diag(r)).min() >= SINGULAR:
         raise RankDeficient(
-            "the data cannot tell the unknowns apart", remedy="add days at other temperatures"
+            "the data do not determine all unknowns", remedy="add days at other temperatures"
         )
     inverse, _ = dtrtri(r)
     values = scipy.linalg.solve_triangular(r, q.T @ right, check_finite=False) / length

@@ -103,6 +103,15 @@ def row(name: str, value: str, note: str = "") -> str:
     return f"  {name:<22}  {value:<28}  {note}".rstrip()
 
 
+def table_lines(title: str, *table: Sequence[str]) -> Iterator[str]:
+    """Yield a title and the rows of a table: its first column left-aligned, the others right."""
+    yield title
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for first, *others in table:
+        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        yield "  " + "  ".join([first.ljust(widths[0]), *cells]).rstrip()
+
+
 def wrapped(lines: Iterable[str], width: int = WIDTH) -> Iterator[str]:
     """Yield lines of text of at most a width, continued below the last column of the first."""
     for line in lines:

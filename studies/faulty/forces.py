@@ -55,7 +55,7 @@ def held_up(day: Day) -> None:
     day.push(np.where(day.load == 1, 5e-3, 0.0), day.rim())
 
 
-@fault("the ring put on anew for each file", cause="load put on anew")
+@fault("the ring put on anew for each file", cause="load repositioned")
 def put_on_anew(day: Day) -> None:
     """It stands off by its centring each time: forces at rest move, their sum does not."""
     (x, y), added = day.wedges[1], day.bench.mirror.added_weight

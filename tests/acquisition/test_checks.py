@@ -111,7 +111,7 @@ def test_a_shape_beyond_a_limit_is_never_commanded(tmp_path, where, value, said)
     image = np.stack([np.full(8, 1e-7), position])
     write_shapes(tmp_path / "shapes.fits", image)
     bench, plan = StubBench(), small_plan(shapes=PlannedShapes(source="shapes.fits"))
-    reason = f"{said}.*in planned shape 2|SHAPES holds NaN"
+    reason = f"{said}.*in planned shape 2|SHAPES contains NaN"
     with pytest.raises((LimitExceeded, FormatError), match=reason):
         tn.acquire(bench, plan, tmp_path / "c", beside=tmp_path)
     assert not bench.commanded

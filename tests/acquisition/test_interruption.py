@@ -241,7 +241,7 @@ def test_a_cycle_that_is_damaged_stops_the_run_before_a_command(complete):
 
 def test_a_folder_of_another_campaign_is_not_touched(complete):
     (complete / "plan.toml").unlink()
-    with pytest.raises(OutputExists, match=r"holds FITS files but no plan\.toml"):
+    with pytest.raises(OutputExists, match=r"contains FITS files but no plan\.toml"):
         tn.acquire(StubBench(), small_plan(), complete)
 
 
@@ -370,7 +370,7 @@ def test_nobody_at_a_terminal_must_say_yes(inside, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.stdin", None)
     code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
     assert code == 2
-    assert "somebody must take every weight off the mirror ('bare')" in err
+    assert "an operator must take every weight off the mirror ('bare')" in err
     code, out, err = inside("acquire", plan, "-o", tmp_path / "c", "--yes")
     assert code == 2  # it was left off, whatever was said
     assert "put 'ring' on the mirror (0.05 N): assumed to be done" in out

@@ -176,7 +176,7 @@ def with_held_out(c, before, after):
         (lambda c: with_goodness(c, 2e8), "rejected", "1.4e+04 times the noise"),
         (lambda c: with_goodness(c, 5e3), "doubtful", "was multiplied by 71"),
         (lambda c: replace(c, loads=c.loads[:1], torque_y=c.torque_y[:1], torque_x=c.torque_x[:1]),
-         "rejected", "nothing fixes the common scale"),
+         "rejected", "so the common scale is not determined"),
         (lambda c: replace(c, statistical_error=6.6 * c.alpha), "rejected", "distinguished from 0"),
         (lambda c: replace(c, systematic_error=0.5 * c.alpha, scale_errors=()), "usable",
          "is known to 50 %"),

@@ -206,11 +206,11 @@ FILE_FAULTS = {
     "no rows": (rows(M, slice(0)), "MEASUREMENTS has no rows"),
     "no actuators": (rows(A, slice(0)), "there are no actuators"),
     "no row is valid": (cells(M, "VALID", slice(None), False), "MEASUREMENTS has no valid rows"),
-    "an ID stands twice": (cells(A, "ID", 3, 1), "ID 1 stands 2 times"),
+    "an ID stands twice": (cells(A, "ID", 3, 1), "ID 1 occurs 2 times"),
     "two actuators at one place": (
         lambda hdus: (cells(A, "X", 3, 0.01)(hdus), cells(A, "X", 4, 0.01)(hdus),
                       cells(A, "Y", 3, 0.01)(hdus), cells(A, "Y", 4, 0.01)(hdus)),
-        "two actuators stand at x = 0.01 m, y = 0.01 m",
+        "two actuators are at x = 0.01 m, y = 0.01 m",
     ),
     "NZ is beyond 1": (cells(A, "NZ", 3, 1.1), "NZ lies outside"),
     "X in mm is called m": (cells(A, "X", slice(None), np.arange(12) * 30.0), "check their unit"),
@@ -377,7 +377,7 @@ STIFFNESS_FAULTS = {
     "not square": (matrix(np.ones((12, 11))), "12 x 11"),
     "empty": (matrix(None), "an image STIFFNESS"),
     "next to nothing": (matrix(np.full((12, 12), 1e-300)), "or next to it"),
-    "NaN": (element(np.nan), "STIFFNESS holds NaN"),
+    "NaN": (element(np.nan), "STIFFNESS contains NaN"),
     "no unit": (lambda hdus: hdus["STIFFNESS"].header.remove("BUNIT"), "declares no unit"),
     "N": (lambda hdus: hdus["STIFFNESS"].header.set("BUNIT", "N"), "STIFFNESS is in 'N'"),
     "no INSTRUME": (no_keyword("INSTRUME"), "no INSTRUME"),
@@ -418,7 +418,9 @@ def test_a_folder_that_stands_is_refused_and_kept(folder, refused, tmp_path):
     for words in (("simulate", "ring8"), ("figures", folder)):
         assert "out: exists already; " in refused(*words, "-o", target)
         line = refused(*words, "-o", target, "--overwrite")
-        assert "out: holds notes.txt, which is not ours; choose another name" in line
+        assert (
+            "out: contains notes.txt, which this program did not write; choose another name" in line
+        )
     assert (target / "notes.txt").read_text() == "mine"
 
 

@@ -16,6 +16,7 @@ from astropy.io import fits
 import truenewton
 from helpers.balanced import p45_bench
 from helpers.json_output import checked
+from truenewton.cli import terminal
 from truenewton.cli.main import EXAMPLES, GROUPS, app
 from truenewton.cli.terminal import say
 from truenewton.mirrors.known import ring
@@ -59,6 +60,21 @@ def test_calibrate_writes_a_calibration_near_the_truth(inside, folder, tmp_path)
         table, true = made["CALIBRATION"].data, truth["TRUTH"].data["ALPHA"]
         assert np.all(np.abs(table["ALPHA"] - true) < 4 * table["E_ALPHA"])
         assert np.abs(table["ALPHA"] - true).max() > 1e-9  # it never saw the truth
+
+
+def test_default_output_is_short_and_no_line_is_over_100_columns(inside, p45_folder, monkeypatch):
+    monkeypatch.chdir(p45_folder.parent)
+    monkeypatch.setattr(terminal, "WIDTH", 100)
+    alpha, folder = ("alpha.fits", p45_folder.name)
+    code, out, _ = inside("calibrate", folder, "-o", alpha)
+    assert (code, len(out.splitlines()) <= 20) == (0, True)
+    assert f"next: truenewton report {folder} --calibration {alpha} -o report.html\n" in out
+    assert out.index("  verdict  ") < out.index("  limit: ") < out.index("  advice: ")
+    for words in (("info", folder), ("info", alpha, "-v"), ("mirrors",), ("mirrors", "p45"),
+                  ("modes", folder, "--calibration", alpha, "--power", "0.1"), ("prove",),
+                  ("recalibrate", folder, "--known", alpha, "--actuators", "3", "-v")):  # fmt: skip
+        out += inside(*words)[1]
+    assert [line for line in out.splitlines() if len(line) > 100] == []
 
 
 def test_info_says_what_files_hold_and_what_they_lack(inside, p45_folder):

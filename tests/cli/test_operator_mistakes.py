@@ -157,7 +157,7 @@ FAULTS = {
     **{
         f"a place {far} m off": (
             changed(lambda c, far=far: replace(c, layout=elsewhere(c.layout, 22, far))),
-            NOT, "actuator stands elsewhere than at its X and Y (actuator 23, about x = 0.05",
+            NOT, "actuator is not at its X and Y (actuator 23, about x = 0.05",
             "correct X and Y in that row",
         )
         for far in (0.01, 1.0)
@@ -166,7 +166,7 @@ FAULTS = {
     "LOAD 'rign'": (
         changed(lambda c: load(c, name="rign"), ONE), LIMITED,
         "one load under two names ('rign' in rign 3 is as 'ring' at rest)",
-        "let LOAD say 'ring' there",
+        "correct LOAD to 'ring' there",
     ),
     # files that do not belong together
     "one of another mirror": (
@@ -184,7 +184,7 @@ FAULTS = {
         never_on, NOT + REFUSED, "the forces are the same under all loads", "lay on the mirror",
     ),
     "a date of next century": (
-        changed(dated, ONE), LIMITED, "by DATE-OBS 13149 days lie between ring 3 and the other",
+        changed(dated, ONE), LIMITED, "DATE-OBS of ring 3 is 13149 days from that of the other",
         "correct DATE-OBS",
     ),
     "Fahrenheit": (changed(warmer), LIMITED, "TEMPERATURE is 68", "Fahrenheit"),

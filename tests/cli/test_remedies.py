@@ -55,7 +55,7 @@ FAULTS = {
             p45(),
             lambda k, f: stuck(7)(k, f) + 1e-3 * np.random.default_rng(k).normal(size=f.shape),
         ),
-        "rejected", "stuck reading (actuator 8)", "have its electronics looked at",
+        "rejected", "stuck reading (actuator 8)", "check its electronics",
     ),
     "frozen in one file": (
         lambda: with_forces(p45(), stuck(7, (1,))),

@@ -348,7 +348,7 @@ def test_positions_without_ids_are_told_which_columns_there_are(tmp_path):
     assert "in the order of their IDs" in text(tn.stiffness_from(CASE.k, path))
     rows = np.insert(rows, 1, 1.0, axis=1)
     np.savetxt(path, rows, delimiter=",", header="knob,ring,east,north", comments="")
-    with pytest.raises(FormatError, match=r"holds no positions; .*'knob', column 'ring'"):
+    with pytest.raises(FormatError, match=r"contains no positions; .*'knob', column 'ring'"):
         tn.stiffness_from(CASE.k, path)
 
 
@@ -401,12 +401,12 @@ def scrambled():
         ({"coordinates": scrambled()}, "positions are in another order than rows and columns"),
         ({"coordinates": XY[:, :-1]}, "44 positions for 45 rows and columns"),
         ({"coordinates": None}, "has no positions; give positions"),
-        ({"coordinates": XY[:, [*range(N - 1), 0]]}, r"two actuators stand at x = .* m: 1 and 45"),
+        ({"coordinates": XY[:, [*range(N - 1), 0]]}, r"two actuators are at x = .* m: 1 and 45"),
         ({"coordinates": XY * 100}, "unit is not declared; give it by --lengths"),
         ({"coordinates": XY * u.s}, "unit of positions is 's'; give one as mm"),
         ({"matrix": 1e-6 * CASE.k}, "no unit, .* is implausible; give it by --unit .*, as N/um"),
         ({"matrix": CASE.k * u.N}, "unit of the matrix is 'N'; give one as N/um"),
-        ({"matrix": CASE.k[:, 1:]}, "holds no square matrix"),
+        ({"matrix": CASE.k[:, 1:]}, "contains no square matrix"),
         ({"matrix": 1j * CASE.k}, "holds no real numbers"),
         ({"matrix": np.where(np.eye(N, k=5), np.nan, CASE.k)}, "elements are NaN or infinite"),
         ({"matrix": np.triu(CASE.k)}, "zero below its diagonal: half of it is not there; store"),
@@ -415,10 +415,10 @@ def scrambled():
         ({"ids": [1] * N}, "actuator ID 1 stands 45 times"),
         ({"ids": [1, 2]}, "2 IDs for 45 rows"),
         ({"shell": 2}, "there is no shell 2"),
-        ({"matrix": CASE.k + 1e40 * np.eye(N)}, "holds an element of 1e[+]40; measure it again"),
-        ({"matrix": np.full((N, N), np.inf)}, "holds no finite number; measure it again"),
+        ({"matrix": CASE.k + 1e40 * np.eye(N)}, "contains an element of 1e[+]40; measure it again"),
+        ({"matrix": np.full((N, N), np.inf)}, "contains no finite number; measure it again"),
         ({"coordinates": XY + np.where(np.arange(N), 0.0, np.inf)}, "actuator 1 is not finite"),
-        ({"coordinates": XY * np.inf}, "holds no finite positions; give X and Y"),
+        ({"coordinates": XY * np.inf}, "contains no finite positions; give X and Y"),
         ({"curvature": np.inf}, "curvature radius is inf m"),
         ({"curvature": 0.1}, "from the axis of a surface of R = 0.1 m"),
     ],
@@ -433,7 +433,9 @@ def test_what_is_wrong_is_said_in_one_line(change, said):
 def test_polar_coordinates_are_no_x_and_y(tmp_path):
     path = tmp_path / "xy.csv"
     np.savetxt(path, XY.T, delimiter=",", header="r [mm],theta [deg]", comments="")
-    with pytest.raises(FormatError, match=r"holds polar coordinates, .* give X and Y, both in a"):
+    with pytest.raises(
+        FormatError, match=r"contains polar coordinates, .* give X and Y, both in a"
+    ):
         tn.stiffness_from(CASE.k, path)
 
 
@@ -449,9 +451,9 @@ def test_polar_coordinates_are_no_x_and_y(tmp_path):
             "line 2 has 2 cells, line 1 has 3: '4,5'; give",
         ),
         ("a.csv", b"1,5,2,5,3,5\n" * 3, "are decimal ones too, put semicolons between columns"),
-        ("a.csv", b"a,b,c\n", "holds a header and no numbers"),
-        ("a.txt", b"# nothing\n", "holds no numbers"),
-        ("a.txt", b"double 3 3\n1 2 3 4\n", "holds 4 numbers; give 3 x 3 numbers"),
+        ("a.csv", b"a,b,c\n", "contains a header and no numbers"),
+        ("a.txt", b"# nothing\n", "contains no numbers"),
+        ("a.txt", b"double 3 3\n1 2 3 4\n", "contains 4 numbers; give 3 x 3 numbers"),
         ("a.ecsv", b"# %ECSV 1.0\n# ---\nX Y\n1 2\n", "is ECSV; give CSV, with units in"),
     ],
 )

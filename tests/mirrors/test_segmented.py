@@ -120,7 +120,7 @@ def test_true_forces_of_each_segment_balance_its_own_load(tiny):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("x = 0.02, y = -0.19", "x = 0.11, y = 0.0", "two actuators stand at"),
+        ("x = 0.02, y = -0.19", "x = 0.11, y = 0.0", "two actuators are at"),
         ("x = 0.02, ", "", "lacks 'x'; add it"),
         ('"disc.toml", x = 0.11', '"no.toml", x = 0.11', "no.toml: cannot be read"),
         ('"disc.toml", x = 0.11', '"tiny.toml", x = 0.11', "takes tiny.toml for a segment"),
@@ -129,7 +129,7 @@ def test_true_forces_of_each_segment_balance_its_own_load(tiny):
             "x = 0.11, y = -0.14",
             "1 (DISC) and 3 (DISC) overlap, by 10 mm",
         ),
-        ("x = 0.11", "x = 110.0", " stands 110 m from the axis"),
+        ("x = 0.11", "x = 110.0", " is 110 m from the axis"),
     ],
 )
 def test_segments_that_cannot_be(inside, tiny, old, new, said):

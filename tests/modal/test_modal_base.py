@@ -280,7 +280,7 @@ def test_alpha_of_another_mirror_is_warned_of(p45, inside, tmp_path):
     other.write(tmp_path / "alpha.fits")
     code, out, _ = inside("modes", tmp_path / "s.fits", "--calibration", tmp_path / "alpha.fits")
     assert code == 0
-    assert "WARNING: With alpha the stiffness is less symmetric" in out
+    assert "warning: With alpha the stiffness is less symmetric" in out
     assert not found.warnings
 
 

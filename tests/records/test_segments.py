@@ -173,5 +173,5 @@ def test_layouts_name_their_segments():
         layout(**place, segment=[0, 1, 0, 1])
     with pytest.raises(GeometryError, match="SEGMENT has shape"):
         layout(**place, segment=[1, 2])
-    with pytest.raises(GeometryError, match="ID 7 stands 2 times; give every actuator its own"):
+    with pytest.raises(GeometryError, match="ID 7 occurs 2 times; give every actuator its own"):
         layout(**place, id=[7, 7, 8, 9], segment=[1, 2, 1, 2])

@@ -78,7 +78,7 @@ def test_cycles_with_positions_tell_their_modes(p45_findings):
             value = getattr(base.stiffness, name)
             assert float(cell.removesuffix(" %")) == pytest.approx(100 * value, rel=0.05)
     assert "seeing 0.8 arcsec" in parts["turbulence"].words[0]
-    assert "Static force of the actuators: -" in parts["dissipation"].words[0]
+    assert "Static forces of the actuators: -" in parts["dissipation"].words[0]
 
 
 def test_a_stiffness_file_has_modes_for_rows_but_no_weight(matrix, by_matrix):
@@ -169,4 +169,4 @@ def test_a_stiffness_reads_in_its_unit(value, text):
 def test_equal_modes_are_not_told_apart():
     compared = compare_modes(np.eye(4), np.eye(4)[:, ::-1], np.ones(4))
     alike = SimpleNamespace(compares=True, comparison=compared)
-    assert words.comparison_text(alike).startswith("in the span of the calibrated: all")
+    assert words.comparison_text(alike).startswith("the same subspace: all")

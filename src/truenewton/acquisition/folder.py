@@ -280,7 +280,7 @@ def begin_or_resume(
         return _with_turns_begun(plan, read_plan(folder / PLAN)), shapes
     if any(path.name.endswith(SUFFIXES) for path in folder.iterdir()):
         raise OutputExists(
-            f"holds FITS files but no {PLAN}", remedy="choose another name", path=folder
+            f"contains FITS files but no {PLAN}", remedy="choose another name", path=folder
         )
     shapes = shapes_and_forces(plan, mirror, beside)[0]
     plan = with_turns(plan, mirror, len(shapes))

@@ -392,7 +392,7 @@ def shapes_and_forces(
         chosen = image[: plan.shapes.count or None, on]
         if not (np.abs(chosen) <= LARGEST_DISPLACEMENT).all():
             raise FormatError(
-                "SHAPES holds NaN, inf or absurd values", remedy="correct it", path=path
+                "SHAPES contains NaN, inf or absurd values", remedy="correct it", path=path
             )
         stiffness = (glass or model_glass(mirror)).stiffness / expected_alpha(mirror)
     shapes, force = np.zeros((2, len(chosen), on.size))

@@ -159,7 +159,7 @@ class Calibration(Result, EstimateFacts):
         """Yield which numbers cannot be."""
         alpha = np.abs(self.alpha[self.layout.enabled])
         if not (alpha.size and np.isfinite(alpha).all() and alpha.all()):
-            yield "ALPHA holds no usable numbers"
+            yield "ALPHA contains no usable numbers"
         for name, errors in (("E_STAT", self.statistical_error), ("E_SYST", self.systematic_error),
                              ("E_CYCLE", self.cycle_error),
                              ("COVARIANCE", np.diag(self.covariance))):  # fmt: skip
@@ -170,7 +170,7 @@ class Calibration(Result, EstimateFacts):
         for sensor in self.sensors:
             sizes = (1.0 / sensor.gain if sensor.gain else np.inf, sensor.x, sensor.y)
             if sensor.state == "fitted" and not np.isfinite(sizes).all():
-                yield "SENSORS holds no usable numbers"
+                yield "SENSORS contains no usable numbers"
         known = (self.torque_y, self.torque_x, self.bias_force) if self.loads else ()
         if not all(np.isfinite(each).all() for each in known):
             yield "BIAS, MY or MX is no number"

@@ -57,7 +57,9 @@ def run_calibrate(
     cluster: str | None = options.CLUSTER,
     segment: int | None = options.SEGMENT,
     processes: int | None = typer.Option(
-        None, min=1, help="Segments calibrated at once; by default as many as processors."
+        None,
+        min=1,
+        help="Segments calibrated in parallel; by default one per processor.",
     ),
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
@@ -65,7 +67,7 @@ def run_calibrate(
     verbose: bool = options.VERBOSE,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Find true Newtons per commanded Newton of every actuator."""
+    """Calibrate alpha, true Newtons per commanded Newton, of every actuator."""
     from truenewton.calibration.file import lacking, suffix_of
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.summary import detail_lines, summary_lines, summary_values
@@ -117,9 +119,11 @@ def run_calibrate(
 
 def run_recalibrate(
     paths: list[Path] = options.paths("Cycle files of the run after the change, or their folder."),
-    known: Path = typer.Option(..., "--known", help="Calibration from before, or a tracking file."),
+    known: Path = typer.Option(..., "--known", help="Earlier calibration, or a tracking file."),
     actuators: str = typer.Option(
-        ..., "--actuators", help="IDs that were replaced, as 17,18; or auto: find what changed."
+        ...,
+        "--actuators",
+        help="IDs of the replaced actuators (17,18); auto: find what changed.",
     ),
     output: Path | None = options.output("Calibration file to write."),
     segment: int | None = options.SEGMENT,
@@ -129,7 +133,7 @@ def run_recalibrate(
     verbose: bool = options.VERBOSE,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Calibrate replaced actuators by a short run; all others keep their calibration."""
+    """Calibrate replaced actuators with a short run; all others keep their calibration."""
     from truenewton.calibration.file import suffix_of
     from truenewton.calibration.summary import detail_lines
     from truenewton.calibration.verdict import usable
@@ -213,7 +217,7 @@ def run_track(
     output: Path | None = options.output("Tracking file to write."),
     figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
     accuracy: float | None = typer.Option(
-        None, help="Wanted relative error of alpha (0.005): when to calibrate again."
+        None, help="Target relative error of alpha (0.005), to print when to calibrate again."
     ),
     segment: int | None = options.SEGMENT,
     anyway: bool = options.ANYWAY,

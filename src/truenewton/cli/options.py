@@ -39,7 +39,7 @@ EXCLUDE = typer.Option(
     None, "--exclude", metavar="ID,...", help="Actuators to leave out of the calibration: 17,18."
 )
 SEGMENT = typer.Option(
-    None, "--segment", help="Take one segment of a segmented mirror only, by its number."
+    None, "--segment", help="Number of the segment to use, of a segmented mirror."
 )
 JSON = typer.Option(False, "--json", help="Print numbers as JSON, for scripts.")
 VERBOSE = typer.Option(False, "-v", "--verbose", help="Print all numbers, and all actuators.")
@@ -48,7 +48,7 @@ FIDELITY = typer.Option(
     "static",
     metavar="[static|loop]",
     autocompletion=lambda: ["static", "loop"],
-    help="static: shapes are held exactly. loop: closed loop, sample by sample.",
+    help="static: shapes are exact. loop: closed loop, sample by sample.",
 )
 SEED = typer.Option(1, min=0, help="Seed of all random numbers.")
 NOISE = typer.Option(
@@ -56,7 +56,10 @@ NOISE = typer.Option(
 )
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")
 CLUSTER = typer.Option(
-    None, "--cluster", metavar="ADDRESS", help="Dask scheduler whose workers read the files."
+    None,
+    "--cluster",
+    metavar="ADDRESS",
+    help="Address of the Dask scheduler.",
 )
 
 
@@ -84,7 +87,7 @@ def ids(text: str | None, option: str) -> list[int]:
 def require_suffix(output: Path | None, suffixes: tuple[str, ...], what: str) -> None:
     """Refuse the name of an output that has none of the suffixes."""
     if output is not None and not output.name.lower().endswith(suffixes):
-        remedy = f"let -o end in {suffixes[0]}"
+        remedy = f"use a name that ends in {suffixes[0]}"
         raise OutputFailed(f"is no name for a {what}", remedy=remedy, path=output)
 
 

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import typer
 
 from truenewton.cli import options
-from truenewton.cli.terminal import busy, print_result, say, table_lines, tell
+from truenewton.cli.terminal import busy, print_result, say, tell
 from truenewton.files.outputs import atomic_outputs, folder_beside, refuse_existing
 from truenewton.progress import with_progress
+from truenewton.rounding import counted, table_lines
 
 if TYPE_CHECKING:
     from truenewton.mirrors.known import Mirror
@@ -24,12 +25,12 @@ DEMO_FILES = ("p45", ".fits", ".html", "figures")  # in the folder of an older d
 
 
 def run_demo(
-    output: Path = options.output("Folder for everything made.", Path("truenewton-demo")),
+    output: Path = options.output("Folder for all files.", Path("truenewton-demo")),
     seed: int = options.SEED,
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Show all steps on a simulated P45: campaign, calibration, truth, report, figures."""
+    """Run all steps on a simulated P45: campaign, calibration, truth, report, figures."""
     from truenewton.bench.simulated.static import run_cycles, static_bench
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.calibration.figures import write_figures
@@ -86,17 +87,18 @@ def run_simulate(
     seed: int = options.SEED,
     noise: float = options.NOISE,
     fidelity: str = options.FIDELITY,
-    temperature: float = typer.Option(20.0, min=-50.0, max=80.0, help="Of the magnets [deg C]."),
+    temperature: float = typer.Option(
+        20.0, min=-50.0, max=80.0, help="Magnet temperature [deg C]."
+    ),
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Simulate a campaign with and without the ring: OUTPUT, and its truth in OUTPUT.truth.fits."""
+    """Simulate a campaign with and without the ring; its truth is in OUTPUT.truth.fits."""
     from truenewton.bench.simulated.bench import FIDELITIES
     from truenewton.bench.simulated.static import bench_of, campaign_on, truth_of
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.mirrors.file import whole_mirror_from
     from truenewton.records.file import write_campaign
-    from truenewton.rounding import counted
 
     sealed = truth_path(output)
     refuse_existing(output, sealed, overwrite=overwrite)
@@ -125,7 +127,7 @@ def run_serve(
         Path("truenewton-keys"),
         "-o",
         "--keys",
-        help="Folder of certificates, keys and password; made if it does not exist.",
+        help="Folder of certificates, keys and password; created if it does not exist.",
     ),
     port: int = typer.Option(4840, min=1, max=65535, help="TCP port."),
     segment: int | None = options.SEGMENT,
@@ -133,7 +135,7 @@ def run_serve(
     noise: float = options.NOISE,
     fidelity: str = options.FIDELITY,
 ) -> None:
-    """Serve the simulated bench over OPC UA on this machine, for known clients only."""
+    """Start an OPC UA server of the simulated bench on this machine, for clients with a key."""
     from truenewton.bench.opcua import require_asyncua
 
     require_asyncua()
@@ -178,11 +180,11 @@ def run_serve(
 def run_prove(
     mirror: str = typer.Argument("p45", help="A known mirror, or a FITS file with ACTUATORS."),
     seed: int = typer.Option(0, min=0, help="Seed of alpha and the random patterns."),
-    seeds: int = typer.Option(1, min=1, max=1000, help="How many seeds to try, from SEED on."),
+    seeds: int = typer.Option(1, min=1, max=1000, help="Number of seeds, starting at SEED."),
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Prove numerically that the systems C and E give alpha back (paper, section 4).
+    """Prove numerically that the systems C and E return alpha (paper, section 4).
 
     Exit code 1 if a system does not have full rank or its error exceeds 20 eps cond.
     """
@@ -316,8 +318,6 @@ def _lines_of_part(whole: SegmentedMirror, part: Mirror, alike: list[int]) -> li
 
 def _lines_of(mirror: Mirror) -> list[str]:
     """Return the numbers of a mirror in one piece, each with its unit."""
-    from truenewton.rounding import counted
-
     quantities, sensor = {**mirror.shell.QUANTITIES, **mirror.QUANTITIES}, mirror.sensor
     units = {name: quantity.unit for name, quantity in quantities.items()}
     said = {"sensor": f"{sensor.inner_radius:g} to {sensor.outer_radius:g} m from its actuator"}

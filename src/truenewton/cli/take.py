@@ -31,7 +31,7 @@ MAX_SIZE_RATIO = 1.1  # of a known mirror that is suggested to the actuators of 
 
 def run_plan(
     path: Path | None = typer.Argument(None, metavar="FILE", help="The plan (TOML)."),
-    new: bool = typer.Option(False, "--new", help="Print a commented plan to start from."),
+    new: bool = typer.Option(False, "--new", help="Print a plan with comments, as a template."),
     output: Path | None = options.output("With --new: write the plan to this file instead."),
     target: float | None = typer.Option(
         None, help="Target for the typical relative error of alpha (0.005 = 0.5 %)."
@@ -43,18 +43,18 @@ def run_plan(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Predict errors, time, forces and gap of a campaign, and what reaches a target error."""
+    """Predict errors, time, forces and gap of a campaign, and how to reach a target error."""
     if new == (path is not None):
-        raise typer.BadParameter("give a plan, or --new for one to start from")
+        raise typer.BadParameter("give a plan, or --new to print a template")
     if target is not None and not 0 < target < 1:
         raise typer.BadParameter("--target is relative, such as 0.005 for 0.5 %")
     if path is None:
         if target is not None or plot or json:
-            raise typer.BadParameter("--new takes none of --target, --plot, --json")
+            raise typer.BadParameter("--new cannot be combined with --target, --plot or --json")
         _new_plan(output, overwrite)
         return
     if output is not None:
-        raise typer.BadParameter("-o goes with --new; --plot FILE writes the figure")
+        raise typer.BadParameter("-o requires --new; for a figure, use --plot FILE")
     from truenewton.planning.plan_prediction import predict_plan, suggest_changes
     from truenewton.planning.summary import change_lines, lines, values
 
@@ -97,7 +97,7 @@ def run_acquire(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
+    """Run a plan on a bench and write OUTPUT; the same command resumes a stopped run."""
     from truenewton.acquisition.acquire import acquire, chosen_bench, simulated_bench
     from truenewton.acquisition.folder import invalid_rows, is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
@@ -137,7 +137,7 @@ def run_acquire(
         files = listed([f"{name} {number}" for name, number in invalid.items()], MAX_FILES_NAMED)
         not_valid = (
             f", but {sum(invalid.values())} of {sum(every for _, every in rows.values())} rows are"
-            f" not valid ({files}); to take a cycle again remove its file and give the same command"
+            f" not valid ({files}); to repeat a cycle, remove its file and run the same command"
         )
         if quiet:
             say(f"{output}: complete{not_valid}", stream=sys.stderr)
@@ -156,9 +156,9 @@ def run_acquire(
 
 
 class Terminal:
-    """Shows the progress of a campaign, and asks the person at the terminal to put the loads on.
+    """Shows the progress of a campaign, and asks the operator for each load.
 
-    With ``yes`` it assumes that each load is on. With ``apart``, lines go to standard error,
+    With ``yes`` it assumes that each load is in place. With ``apart``, lines go to standard error,
     because standard output is for a script.
     """
 
@@ -168,7 +168,7 @@ class Terminal:
         self.bar = Bar()
 
     def put_on(self, load: Load) -> None:
-        """Ask for a load, and wait for Enter; BenchFault if nobody can be asked."""
+        """Ask for a load, and wait for Enter; BenchFault if standard input is no terminal."""
         self.bar.stop()
         if load.added:
             what = f"put '{load.name}' on the mirror ({-load.added:g} N)"
@@ -180,7 +180,8 @@ class Terminal:
             self.say(f"{what}: assumed to be done (--yes)")
         elif sys.stdin is None or not sys.stdin.isatty():
             raise BenchFault(
-                f"somebody must {what}", remedy="run it at a terminal, or give --yes if it is on"
+                f"an operator must {what}",
+                remedy="run this command in a terminal, or add --yes if this was done",
             )
         else:
             question = f"{what[0].upper()}{what[1:]}, then press Enter: "
@@ -213,35 +214,35 @@ def run_import(
     coordinates: Path | None = typer.Argument(
         None,
         metavar="POSITIONS",
-        help="Such a file of positions, or the folder of a supervisor's configuration.",
+        help="File of positions (same formats), or folder of a supervisor's configuration.",
     ),
     output: Path | None = options.output("Stiffness file (FITS), or folder of a campaign."),
     example: bool = typer.Option(
         False, "--example", help="Print the description of a campaign, with comments."
     ),
     unit: str | None = typer.Option(
-        None, help="Unit of the matrix, as N/um; 'unknown' for steps of the electronics."
+        None, help="Unit of the matrix, such as N/um; 'unknown' for counts of the electronics."
     ),
-    lengths: str | None = typer.Option(None, help="Unit of positions, as mm."),
+    lengths: str | None = typer.Option(None, help="Unit of the positions, such as mm."),
     curvature: float | None = typer.Option(
-        None, help="Radius of curvature [m]: actuators push along the normals."
+        None, help="Radius of curvature [m]: the forces of the actuators are normal to the surface."
     ),
     arc: bool = typer.Option(False, "--arc", help="Radii are measured along the surface."),
     mirror: str | None = typer.Option(
-        None, help="Take the positions of this mirror: a name or a TOML file."
+        None, help="Use the positions of this mirror (name or TOML file)."
     ),
-    ids: str | None = typer.Option(None, help="Names of the rows, as 17,18,... or a file of them."),
+    ids: str | None = typer.Option(None, help="IDs of the rows: 17,18,... or a file with them."),
     exclude: str | None = options.EXCLUDE,
-    dataset: str | None = typer.Option(None, help="Name of the matrix in a file of several."),
-    shell: int | None = typer.Option(None, help="Which of several shells, from 1."),
+    dataset: str | None = typer.Option(None, help="Name of the matrix in a file with several."),
+    shell: int | None = typer.Option(None, help="Number of the shell (from 1), of several."),
     transpose: bool = typer.Option(False, "--transpose", help="The matrix is stored transposed."),
-    date: datetime.datetime | None = typer.Option(None, help="When it was measured (UTC)."),
+    date: datetime.datetime | None = typer.Option(None, help="Date of the measurement (UTC)."),
     instrument: str | None = typer.Option(None, help="Name of the mirror."),
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Make a stiffness file, or the cycle files of a campaign, from files of other software."""
+    """Convert files of other software to a stiffness file, or to the cycle files of a campaign."""
     if example:
         from truenewton.importers.campaign import example as description
 
@@ -335,7 +336,7 @@ def _import_campaign(
     from truenewton.records.file import SUFFIXES, write_campaign
 
     if output is not None and output.name.endswith(SUFFIXES):
-        raise typer.BadParameter("let -o be a folder: a campaign has a file for each cycle")
+        raise typer.BadParameter("-o must be a folder: a campaign has a file for each cycle")
     refuse_existing(output, overwrite=overwrite)
     with busy("importing"):
         campaign, lines = campaign_from(path)

@@ -93,15 +93,6 @@ def schema_of(name: str, result: object) -> str:
     return f"{name}-segments" if has_parts(result) else name
 
 
-def table_lines(title: str, *table: Sequence[str]) -> Iterator[str]:
-    """Yield a title and the rows of a table: its first column left-aligned, the others right."""
-    yield title
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    for first, *others in table:
-        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
-        yield "  " + "  ".join([first.ljust(widths[0]), *cells]).rstrip()
-
-
 class Bar:
     """A line on standard error with what happens, how far it is, and the time left.
 

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 DIAMETER = typer.Option(
-    None, help="Of the telescope's pupil [m]; without it turbulence is left out."
+    None, help="Diameter of the telescope pupil [m]; without it, no turbulence is modelled."
 )
 EFFICIENCY = typer.Option(
-    None, help="Of the coils, commanded force per root of power [N/W^1/2]; for their power."
+    None, help="Commanded force per root of power [N/W^1/2]; without it, no power is printed."
 )
 
 
@@ -118,22 +118,24 @@ def run_modes(
     calibration: Path | None = typer.Option(
         None, help="Calibration file; by default the data themselves are calibrated."
     ),
-    seeing: float | None = typer.Option(None, help="At 500 nm [arcsec]; by default 0.8."),
-    outer_scale: float | None = typer.Option(None, help="[m], by default 40; inf: Kolmogorov's."),
+    seeing: float | None = typer.Option(None, help="Seeing at 500 nm [arcsec]; by default 0.8."),
+    outer_scale: float | None = typer.Option(
+        None, help="Outer scale [m]; by default 40. inf: Kolmogorov."
+    ),
     diameter: float | None = DIAMETER,
     radius: float | None = typer.Option(
         None,
-        help="Of the mirror that fills the pupil [m]; by default half a spacing beyond the"
-        " last actuator.",
+        help="Radius of the mirror area that fills the pupil [m]; by default half an actuator"
+        " spacing beyond the last actuator.",
     ),
     power: float = typer.Option(math.inf, help="Largest power dissipated by one coil [W]."),
     total_power: float = typer.Option(math.inf, help="Largest power dissipated by all coils [W]."),
     force: float = typer.Option(
-        math.inf, help="Largest true force: static and three sigma of turbulence [N]."
+        math.inf, help="Largest true force [N]: static force plus three sigma of turbulence."
     ),
     efficiency: float | None = EFFICIENCY,
-    off: str = typer.Option("", help="IDs of actuators that will be off, as 17,18: they float."),
-    slaved: str = typer.Option("", help="IDs not commanded: they follow with the least force."),
+    off: str = typer.Option("", help="IDs of actuators without force, such as 17,18."),
+    slaved: str = typer.Option("", help="IDs that follow the others with the least force."),
     mirror: str | None = options.MIRROR_MODEL,
     output: Path | None = options.output("Modal base to write; matrices are written beside it."),
     figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
@@ -143,7 +145,7 @@ def run_modes(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Find stiffness modes, and how many can be corrected within a power or a force."""
+    """Find stiffness modes, and how many can be corrected within limits of power or force."""
     from truenewton.calibration.verdict import usable
     from truenewton.figures.writing import write_drawn
     from truenewton.modal.figures import modes_figures

@@ -239,8 +239,8 @@ def _order(old: Array, new: Array, what: str) -> tuple[NDArray[np.int64], NDArra
     moved = np.count_nonzero(order != own)
     if moved > MAX_EXCHANGED_FRACTION * n:
         raise CampaignMismatch(
-            f"{moved} of {n} {what} of the new matrix belong to other actuators than their position"
-            " says: the matrix is in another order than its actuators",
+            f"{moved} of {n} {what} of the new matrix do not belong to the actuators at their"
+            " positions: the matrix is in another order than its actuators",
             remedy=f"put {what} and positions in the same order (docs/import.md)",
         )
     lost = cosine[own, order] < MIN_COSINE

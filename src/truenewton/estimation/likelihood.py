@@ -393,7 +393,7 @@ def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
 
 def _no_more_than_noise() -> RankDeficient:
     return RankDeficient(
-        "the data hold no more than noise along some pattern of alpha",
+        "the data contain no more than noise along some pattern of alpha",
         remedy="apply more shapes, larger or more often, or add a stiffness matrix",
     )
 

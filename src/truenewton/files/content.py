@@ -194,7 +194,7 @@ class FitsFile:
         """Return which actuators take part: those with an (n,) alpha."""
         some = np.asarray(np.isfinite(alpha))
         if not some.any():
-            raise FormatError("ALPHA holds no number", remedy=remedy, path=self.path)
+            raise FormatError("ALPHA contains no number", remedy=remedy, path=self.path)
         return some
 
     def require_covariances(self, side: int, meaning: str, remedy: str) -> None:

@@ -350,7 +350,7 @@ def _add_cards(hdu: Any, record: Any, form: FileFormat, path: str | os.PathLike[
         except ValueError:
             raise FormatError(
                 f"{key} is {value!r}",
-                remedy="a FITS header holds finite numbers and ASCII text",
+                remedy="use finite numbers and ASCII text, as a FITS header requires",
                 path=path,
             ) from None
 

@@ -136,7 +136,9 @@ def folder_beside(
         strange = [each for each in inside if not each.name.endswith(suffixes)]
         if strange or (target.exists() and not target.is_dir()):
             raise OutputExists(
-                f"holds {strange[0].name}, which is not ours" if strange else "is not a folder",
+                f"contains {strange[0].name}, which this program did not write"
+                if strange
+                else "is not a folder",
                 remedy="choose another name",
                 path=target,
             )

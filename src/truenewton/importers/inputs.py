@@ -125,7 +125,7 @@ def read_given(
     if not isinstance(matrix, str | os.PathLike):
         values = plain(getattr(matrix, "value", matrix))
         if values is None:
-            raise FormatError("the matrix holds no real numbers", remedy="give an (n, n) array")
+            raise FormatError("the matrix contains no real numbers", remedy="give an (n, n) array")
         stored = Stored("", {"": Item(values, str(getattr(matrix, "unit", "") or ""))})
     elif Path(matrix).is_dir():
         return _in_folder(Path(matrix), coordinates, mirror, dataset, surface)
@@ -249,7 +249,7 @@ def only_array(path: str | os.PathLike[str]) -> Item:
     arrays = read_stored(path).arrays
     if len(arrays) != 1:
         raise FormatError(
-            f"holds {len(arrays)} arrays", remedy="give one with one array", path=path
+            f"contains {len(arrays)} arrays", remedy="give one with one array", path=path
         )
     (item,) = arrays.values()
     return Item(np.squeeze(item.values), item.unit)

@@ -94,7 +94,9 @@ def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
             known = {n: i for n, i in square.items() if n.lower().split("/")[-1] in MATRIX_NAMES}
             square = known or square
         if len(square) != 1:
-            fault = f"holds {len(square)} square matrices" if square else "holds no square matrix"
+            fault = (
+                f"contains {len(square)} square matrices" if square else "contains no square matrix"
+            )
             many = "choose one by --dataset (dataset=): " + ", ".join(square)
             raise FormatError(fault, remedy=many if square else _none_square(stored))
         ((name, item),) = square.items()
@@ -109,7 +111,7 @@ def read_positions(path: str | os.PathLike[str]) -> Positions:
     found = positions_in(stored)
     if found is None:
         remedy = f"give columns X and Y, or an (n, 2) or (2, n) array; {there_is(stored)}"
-        raise FormatError("holds no positions", remedy=remedy, path=path)
+        raise FormatError("contains no positions", remedy=remedy, path=path)
     return found
 
 
@@ -138,7 +140,7 @@ def positions_of(item: Item) -> Positions:
     values = item.values
     if values.ndim != 2 or (2 not in values.shape and 3 not in values.shape):
         raise FormatError(
-            f"holds an array of shape {values.shape}, which are no positions",
+            f"contains an array of shape {values.shape}, which are no positions",
             remedy="give (n, 2) or (2, n), or columns named X and Y",
         )
     if values.shape[1] not in (2, 3) or (values.shape[0] in (2, 3) and values.shape[1] > 3):
@@ -163,7 +165,7 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
     if "x" not in known or "y" not in known:
         if POLAR[0].intersection(known) and POLAR[1].intersection(known):
             raise FormatError(
-                f"holds polar coordinates, {' and '.join(columns)}",
+                f"contains polar coordinates, {' and '.join(columns)}",
                 remedy="give X and Y, both in a unit of length",
             )
         return None
@@ -239,10 +241,12 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
     lengths, curvature, arc = surface.lengths, surface.curvature, surface.arc
     x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
     if x.shape != y.shape:
-        raise FormatError(f"holds {x.size} X and {y.size} Y", remedy="give both for every actuator")
+        raise FormatError(
+            f"contains {x.size} X and {y.size} Y", remedy="give both for every actuator"
+        )
     x, y = (np.where(np.abs(values) < MAX_COORDINATE, values, np.nan) for values in (x, y))
     if not np.isfinite(x + y).any():
-        raise FormatError("holds no finite positions", remedy="give X and Y")
+        raise FormatError("contains no finite positions", remedy="give X and Y")
     unit, how = lengths or positions.unit, "as specified" if lengths else "as declared"
     if not unit:
         unit, how = _likeliest_unit(x, y), "by their size"
@@ -258,7 +262,7 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
         radius = np.hypot(x, y)
         if np.nanmax(radius) >= (np.pi / 2 if arc else 1.0) * curvature:
             raise FormatError(
-                f"an actuator stands {np.nanmax(radius):.3g} m from the axis of a surface of R ="
+                f"an actuator is {np.nanmax(radius):.3g} m from the axis of a surface of R ="
                 f" {curvature:.3g} m",
                 remedy="check the unit of positions, and R in m",
             )
@@ -301,9 +305,9 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
     """Return an (n, n) matrix in N/m, which may contain NaN, and a text on its unit."""
     most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
     if most > MAX_ELEMENT:
-        raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again")
+        raise FormatError(f"contains an element of {most:.3g}", remedy="measure it again")
     if not np.isfinite(k).any():
-        raise FormatError("holds no finite number", remedy="measure it again")
+        raise FormatError("contains no finite number", remedy="measure it again")
     refuse_no_stiffness(np.nan_to_num(k, posinf=0.0, neginf=0.0))
     own = np.abs(np.diag(k))
     own = own[np.isfinite(own) & (own > 0.0)]

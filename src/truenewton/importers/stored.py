@@ -229,7 +229,7 @@ def table_in(text: str) -> TextTable:
         every = [Line(line.number, line.text.strip()) for line in every]
     data = [line for line in every if line.text[0] not in COMMENT]
     if not data:
-        raise FormatError("holds no numbers", remedy="give a file with numbers")
+        raise FormatError("contains no numbers", remedy="give a file with numbers")
     typed = TYPED.fullmatch(data[0].text)
     if typed:
         return _typed(typed[2], [line.text for line in data[1:]]), {}
@@ -250,7 +250,7 @@ def table_in(text: str) -> TextTable:
     else:
         data = data[1:]
     if not data:
-        raise FormatError("holds a header and no numbers", remedy="give its rows")
+        raise FormatError("contains a header and no numbers", remedy="give its rows")
     if len(_cells(data[0].text, between)) <= MAX_WORD_COLUMNS:
         return _narrow(data, between, names)
     values = _wide(data, between)
@@ -302,7 +302,7 @@ def _typed(sizes: str, lines: list[str]) -> NDArray[Any]:
     words = " ".join(lines).split()
     wrong = [word for word in words if not NUMBER.fullmatch(word)]
     if wrong or len(words) != np.prod(shape):
-        fault = f"holds '{wrong[0]}'" if wrong else f"holds {len(words)} numbers"
+        fault = f"contains '{wrong[0]}'" if wrong else f"contains {len(words)} numbers"
         remedy = f"give {' x '.join(map(str, shape))} numbers, as its first line says"
         raise FormatError(fault, remedy=remedy)
     return np.array([_float(word) for word in words]).reshape(shape)
@@ -316,7 +316,7 @@ def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
         sound = all(not cell or NUMBER.fullmatch(cell) for cell in cells)
         columns.append(np.array([_float(cell) for cell in cells]) if sound else None)
     if not any(column is not None for column in columns):
-        raise FormatError("holds no numbers", remedy="give a file with numbers")
+        raise FormatError("contains no numbers", remedy="give a file with numbers")
     named = {}
     every = len(_cells(lines[0].text, between))  # an empty last column, too
     if len(names) == every or (len(names) >= len(columns) and not any(names[len(columns) :])):

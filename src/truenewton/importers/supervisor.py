@@ -151,7 +151,7 @@ def _measured(folder: Path) -> tuple[NDArray[np.int64], Array]:
     """Return (m,) channels of a supervisor's folder and the (m, m) matrix, as stored."""
     if not (folder / MATRIX).is_file():
         raise UnreadableFile(
-            f"holds no {MATRIX}",
+            f"contains no {MATRIX}",
             remedy="give the supervisor's folder of a measurement, named by its track number",
             path=folder,
         )

@@ -83,7 +83,7 @@ def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
         return mirror(str(name))
     if str(name).endswith(SUFFIXES):
         raise FormatError(
-            "is a FITS file, which holds no glass",
+            "is a FITS file, which does not describe the glass",
             remedy="give a known mirror, or a TOML file whose `actuators` names this one",
             path=name,
         )
@@ -97,8 +97,7 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
     if isinstance(whole, SegmentedMirror):
         raise FormatError(
             f"'{name}' is a mirror in segments",
-            remedy="simulate, plan and --mirror take it, acquire and serve one segment of it,"
-            " --segment; for anything else give the file of one segment",
+            remedy="give the file of one segment; `acquire` and `serve` accept --segment",
         )
     return whole
 
@@ -212,7 +211,7 @@ def outline_in(path: Path) -> list[list[list[float]]]:
     numbers = np.unique(loops)
     if not np.array_equal(numbers, np.arange(numbers.size)) or not numbers.size:
         raise FormatError(
-            f"LOOP holds {', '.join(map(str, numbers)) or 'nothing'}",
+            f"LOOP contains {', '.join(map(str, numbers)) or 'nothing'}",
             remedy="number the points of the edge 0, those of the holes 1, 2, ...",
             path=path,
         )
@@ -302,7 +301,7 @@ def check_mirror(mirror: Mirror, points: Path | None = None, actuators: Path | N
     if off.any():
         i = off.argmax()
         raise GeometryError(
-            f"actuator {mirror.layout.id[i]} stands {np.hypot(*places[i]):.4g} m from the axis: it"
+            f"actuator {mirror.layout.id[i]} is {np.hypot(*places[i]):.4g} m from the axis: it"
             " or its sensor reaches off the glass",
             remedy=f"{where}; the sensor reaches {reach:g} m",
             path=actuators,
@@ -310,7 +309,7 @@ def check_mirror(mirror: Mirror, points: Path | None = None, actuators: Path | N
     wedges = np.stack(tool_wedges(mirror), axis=1)
     if (_depth(mirror, wedges) < 0).any():
         raise GeometryError(
-            f"the weight tool, {np.hypot(*wedges[0]):g} m from the axis, stands off the glass",
+            f"the weight tool, {np.hypot(*wedges[0]):g} m from the axis, is not on the glass",
             remedy="give as tool_radius that of a circle on the glass, about x = y = 0",
         )
     magnets = mirror.layout.n

@@ -74,7 +74,7 @@ class SegmentedMirror:
                 if getattr(segment, name) != getattr(self.segments[0], name):
                     raise GeometryError(
                         f"{name} of {segment.name} is not that of {self.segments[0].name}",
-                        remedy="give all segments the same: a cycle file holds one",
+                        remedy="give all segments the same value: a cycle file contains one",
                     )
         self.layout  # noqa: B018  checks the places
         self._refuse_overlaps()

@@ -209,7 +209,7 @@ class ModalFindings(Summarised):
         if _true_already(self.calibration):
             warnings.append(
                 Fault(
-                    "STIFFNESS is symmetric and balanced, and taken for a true one: alpha is 1",
+                    "STIFFNESS is symmetric and balanced, and treated as a true one: alpha is 1",
                     "if it was made so of a measured one, give that as it was measured",
                 )
             )

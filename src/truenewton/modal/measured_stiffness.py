@@ -295,7 +295,7 @@ def motion_reader(screened: ScreenedCampaign) -> MotionReader:
     ]
     if not positioned:
         raise RankDeficient(
-            "no cycle holds POSITION, so the stiffness is unknown",
+            "no cycle contains POSITION, so the stiffness cannot be measured",
             remedy="record the sensors' readings, or give a measured stiffness file",
         )
     if len(positioned) < len(campaign.cycles):

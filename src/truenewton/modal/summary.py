@@ -15,11 +15,9 @@ from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import Summary, summary_of
-from truenewton.rounding import counted, percent, row, significant
+from truenewton.rounding import counted, percent, row, significant, table_lines
 
-WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns, at least
 NUMBERS = 8  # of modes, in the table
-NEGATIVE = "bias magnets, or errors of the measurement"  # why a stiffness may be
 
 
 def stiffness_text(value: float) -> str:
@@ -66,9 +64,7 @@ def rigid_text(measured: MeasuredStiffness) -> str:
     """Return the number of rigid motions that no shape contains; empty if there are none."""
     if not measured.rigid_assumed:
         return ""
-    return (
-        f"no shape contains {measured.rigid_assumed} of 3 rigid motions: assumed to need no force"
-    )
+    return f"{measured.rigid_assumed} of 3 rigid motions are in no shape: assumed to need no force"
 
 
 def sensor_gains_text(base: ModalBase) -> str:
@@ -76,8 +72,9 @@ def sensor_gains_text(base: ModalBase) -> str:
     gain, offset = base.stiffness.enabled_gain, base.stiffness.enabled_offset
     if (gain == 1.0).all() and not offset.any():
         return ""
-    far = f"{1e3 * np.hypot(*offset).max():.2g} mm off their magnets at most, " * bool(offset.any())
-    return f"{gain.min():.4g} .. {gain.max():.4g}, {far}used: modes are in true displacement"
+    far = f", at most {1e3 * np.hypot(*offset).max():.2g} mm from their magnets"
+    used = "; modes are in true displacement"
+    return f"{gain.min():.4g} .. {gain.max():.4g}{far if offset.any() else ''}{used}"
 
 
 def comparison_text(findings: ModalFindings) -> str:
@@ -86,12 +83,12 @@ def comparison_text(findings: ModalFindings) -> str:
         return ""
     c = findings.comparison
     if not c.orders.size:
-        return "in the span of the calibrated: all have nearly the same stiffness"
+        return "the same subspace: all have nearly the same stiffness"
     worst = int(c.largest_angle.argmax())
     return (
-        f"{math.degrees(c.distance):.2g} deg rms from the calibrated modes; worst:"
+        f"rotated by {math.degrees(c.distance):.2g} deg rms; worst:"
         f" {math.degrees(c.largest_angle[worst]):.2g} deg, between the subspaces of the first"
-        f" {c.orders[worst]}"
+        f" {counted(int(c.orders[worst]), 'mode')}"
     )
 
 
@@ -111,17 +108,14 @@ def fitting_error_text(base: ModalBase) -> str:
     """Return the wavefront that no modes correct; empty without turbulence."""
     if base.seen is None:
         return ""
-    return (
-        f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, for any number"
-        " of modes"
-    )
+    return f"{1e9 * base.seen.fitting_error:.3g} nm rms of wavefront that no mode corrects"
 
 
 def static_force_text(base: ModalBase) -> str:
     """Return the range of the static forces."""
     force = 1e3 * base.static
     if not force.any():
-        return "unknown, assumed 0: a stiffness file contains no weight"
+        return "assumed 0 (a stiffness file contains no weight)"
     return f"{force.min():.3g} .. {force.max():.3g} mN"
 
 
@@ -157,16 +151,16 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
         ("measured stiffness", measured_text(measured) if measured else ""),
         ("", rigid_text(measured) if measured else ""),
         ("", f"{'alpha = 1':<12}calibrated"),
-        ("asymmetry of it", f"{asymmetry}of K - K'"),
-        ("imbalance of it", f"{imbalance}forces of its columns that do not balance"),
-        ("piston and tilts", f"{'':<12}{rigid} N/m; of a free glass 0, but for {NEGATIVE}"),
-        ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
-         + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
+        ("  asymmetry", f"{asymmetry}K - K' relative to K"),
+        ("  imbalance", f"{imbalance}of the forces of its columns"),
+        ("piston and tilts", f"{rigid} N/m (0 without bias magnets)"),
+        ("elastic modes", f"{elastic.min():.3g} .. {elastic.max():.3g} N/m"
+         + (f"; {negative} negative, by bias magnets or measurement errors" if negative else "")),
         ("sensor gains", sensor_gains_text(base)),
-        ("modes by alpha = 1", comparison_text(findings)),
+        ("modes with alpha = 1", comparison_text(findings)),
         ("turbulence", turbulence_text(base)),
-        ("between actuators", fitting_error_text(base)),
-        ("static force", static_force_text(base)),
+        ("fitting error", fitting_error_text(base)),
+        ("static forces", static_force_text(base)),
     ]  # fmt: skip
 
 
@@ -187,25 +181,14 @@ def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> lis
     ]
 
 
-def _table(base: ModalBase) -> list[str]:
-    """Return the table of residual, force and power against the number of modes."""
-    bases, efficiency = tuple(cost.base for cost in base.costs), base.costs[0].efficiency
+def _table(base: ModalBase) -> Iterator[str]:
+    """Yield the table of residual, force and power against the number of modes."""
     rows = cost_rows(base)
-    head = ("modes", *bases, "rms", "worst", "mean", "worst", "total")[: len(rows[0])]
-    rows.insert(0, head)
-    widths = [
-        max(least, *(len(cell) + 1 for cell in cells))
-        for least, cells in zip(WIDTHS, zip(*rows, strict=True), strict=False)
-    ]
-    first, left = widths[0], sum(widths[1 : 1 + len(bases)])
-    lines = [
-        f"  {'':<{first}}{'residual wavefront at actuators [nm]':<{left}}"
-        f"stiffness modes: force [mN]{', power [W]' if math.isfinite(efficiency) else ''}"
-    ]
-    for cells in rows:
-        text = "".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True))
-        lines.append(f"  {text.rstrip()}")
-    return lines
+    power = ", power [W]" if math.isfinite(base.costs[0].efficiency) else ""
+    title = f"  residual wavefront [nm] of each base; stiffness modes: force [mN]{power}"
+    cost = "rms force", "worst", "mean power", "worst", "total"
+    head = ("modes", *(each.base for each in base.costs), *cost)[: len(rows[0])]
+    return table_lines(title, head, *rows)
 
 
 def _plain(value: float, digits: int) -> str:
@@ -222,18 +205,18 @@ def _within(findings: ModalFindings, limits: Budget) -> list[str]:
     )
     words = " and ".join(f"{limit:g} {what}" for limit, what in asked if math.isfinite(limit))
     if not words:
-        return ["  --power, --total-power or --force asks how many modes they allow"]
-    lines = [f"  within {words}, piston and tilts counted:"]
+        return ["  to find how many modes a limit allows, add --power, --total-power or --force"]
+    lines = [f"  modes within {words}, piston and tilts included:"]
     for cost, uncalibrated in _costs(findings):
         number = cost.modes_within(limits)
         fewest, most = findings.modes_between(cost, limits)
         words = "none" if number == 0 else f"{number} of {cost.residual.size}"
         if number:
-            words += f", {1e9 * cost.residual[number - 1]:.3g} nm left"
+            words += f", residual {1e9 * cost.residual[number - 1]:.3g} nm"
         if fewest != most:
-            words += f"; {fewest} to {most} by the error of alpha"
+            words += f"; {fewest} to {most} within the error of alpha"
         if uncalibrated is not None:
-            words += f"; with alpha = 1 it would seem {uncalibrated.modes_within(limits)}"
+            words += f"; with alpha = 1: {uncalibrated.modes_within(limits)}"
         lines.append(f"    {cost.base:<22}{words}")
     return lines
 

@@ -311,7 +311,7 @@ def _sensors(
         offset = np.nan_to_num([calibration.of_sensors(axis)[at] for axis in "xy"])
     if not (np.isfinite(gain).all() and (gain > 0).all()):
         raise FormatError(
-            "sensor_gain holds numbers that are not positive", remedy="they are about 1"
+            "sensor_gain contains numbers that are not positive", remedy="they are about 1"
         )
     return gain, offset
 
@@ -338,8 +338,8 @@ def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) 
             held = scipy.linalg.cho_factor(k[np.ix_(floats, floats)])
         except np.linalg.LinAlgError:
             raise RankDeficient(
-                f"{counted(int(np.count_nonzero(floats)), 'actuator')} switched off, not held by"
-                " the others",
+                f"{counted(int(np.count_nonzero(floats)), 'actuator')} switched off, not stabilised"
+                " by the others",
                 remedy="turn fewer off, or measure their stiffness better",
             ) from None
         floating[:, acts] = -scipy.linalg.cho_solve(held, k[np.ix_(floats, acts)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import starmap
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from truenewton.estimation.findings.estimate import scale_budget
 from truenewton.files.format import attributes
 from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction
 from truenewton.planning.prediction import Prediction
-from truenewton.rounding import counted, percent
+from truenewton.rounding import counted, percent, row, table_lines
 
 
 def lines(outcome: PlanPrediction) -> Iterator[str]:
@@ -44,10 +45,10 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
         budget = ", ".join(f"{what} {percent(part)}" for what, part in parts)
         rows += [
             ("typical error of alpha", percent(typical_error),
-             f"E_ALPHA, one sigma; {percent(relative.min())} .. {percent(relative.max())},"
-             f" the largest of actuator {ids[relative.argmax()]}"),
-            ("  budget of the scale", budget, ""),
+             f"E_ALPHA, one sigma; largest: actuator {ids[relative.argmax()]},"
+             f" {percent(relative.max())}"),
             ("  common scale", percent(from_weights), "E_SYST, from the weights"),
+            ("    budget", budget, ""),
         ]  # fmt: skip
     order = mountings(plan, shapes)
     readings = 2 * shapes * plan.cycles * len(plan.loads)
@@ -57,21 +58,20 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
         ("least certain pattern", prediction.diagnosis.weakest,
          f"{percent(prediction.diagnosis.weakest_share)} of the variance E_STAT^2"),
         ("duration", _time(outcome.duration),
-         f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(order) - 1} x"
-         f" {_time(plan.pause)} to change the load"),
+         f"{readings} readings of {1e3 * reading_time(plan):.3g} ms,"
+         f" {counted(len(order) - 1, 'load change')} of {_time(plan.pause)}"),
         ("largest force", f"{strain.force:.3g} N",
-         f"actuator {strain.actuator} under {strain.load}; {strain.force_at_worst:.3g} N should its"
-         f" alpha be lowest; limit {limits.force:g} N"),
+         f"actuator {strain.actuator} under {strain.load}; {strain.force_at_worst:.3g} N if its"
+         f" alpha is the lowest possible; limit {limits.force:g} N"),
         ("largest stroke", f"{1e6 * strain.stroke:.3g} um",
          f"limit {1e6 * limits.displacement:g} um"),
         *_small_shapes(outcome),
         ("smallest gap", f"{1e6 * strain.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
     ]  # fmt: skip
-    for name, value, note in rows:
-        yield f"  {name:<24}{value:<26}{note}".rstrip()
+    yield from starmap(row, rows)
     yield from _reciprocity_lines(outcome)
     yield from _order_lines(outcome)
-    yield "  typical errors of alpha against"
+    yield "  typical errors of alpha, against the number of cycles and the added weight:"
     yield from _table("cycles", outcome.against_cycles)
     if outcome.reciprocity.planned is not None:
         error = outcome.reciprocity.against_cycles.statistical_error.tolist()
@@ -81,7 +81,7 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
 
 
 def _small_shapes(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
-    """Return a row if shapes are so small that position noise would be taken for a fault."""
+    """Return a row if shapes are so small that `acquire` would confuse noise with a fault."""
     shapes, noise = outcome.ready.shapes, outcome.ready.plan.sensors.noise
     strokes = np.abs(shapes).max(axis=1)
     small = int(np.count_nonzero(POSITION_TOLERANCE * strokes < POSITION_SIGMAS * noise))
@@ -89,9 +89,9 @@ def _small_shapes(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
         return []
     return [
         ("smallest stroke", f"{1e9 * strokes.min():.3g} nm",
-         f"of {small} of {counted(len(strokes), 'shape')} a tenth is less than six times the noise"
-         f" of a position, {1e9 * noise:.2g} nm: taken for a fault unless the bench gives"
-         " position_scatter; or plan fewer (shapes.count)")
+         f"a tenth of the stroke of {small} of {counted(len(strokes), 'shape')} is less than six"
+         f" times the noise of a position ({1e9 * noise:.2g} nm); `acquire` will report faults"
+         " unless the bench gives position_scatter, or shapes.count is smaller")
     ]  # fmt: skip
 
 
@@ -99,7 +99,7 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
     """Yield what reciprocity will give, or why it is not possible."""
     found, plan = outcome.reciprocity, outcome.ready.plan
     if found.planned is None:
-        yield f"  {'by reciprocity':<24}not possible: {found.why_not}"
+        yield row("by reciprocity", f"not possible: {found.why_not}")
         return
     yield f"  by reciprocity (calibrate --method reciprocity --mirror {plan.mirror})"
     error, from_readings, _ = found.planned.typical_errors
@@ -118,33 +118,33 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
         typical_offset = f"{1e3 * float(np.median(found.offset_error)):.2g} mm"
         rows.append(("sensor offsets", typical_offset, note))
     for name, value, note in rows:
-        yield f"    {name:<22}{value:<26}{note}"
+        yield row(f"  {name}", value, note)
 
 
 def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
     """Yield the order of the loads, what each order costs, and what a third load would show."""
     plan, drift = outcome.ready.plan, outcome.ready.plan.drift
     order = mountings(plan, len(outcome.ready.shapes))
-    yield f"  {'order of the loads':<24}{', '.join(map(str, order))}"
+    yield row("order of the loads", ", ".join(map(str, order)))
     if len(order) > 1:
         changes = (f"'{each.load.name}' after {_time(each.start)}" for each in order[1:])
-        yield f"  {'change to':<24}{', '.join(changes)}"
+        yield row("change to", ", ".join(changes))
     if len(outcome.orders) > 1:
-        yield (
-            f"  drift of {percent(drift.alpha)} of alpha and {1e6 * drift.zero:.3g} uN an hour,"
-            f" {1e6 * drift.remounting:.3g} uN at each mounting: of the common scale"
+        title = (
+            f"  error of the common scale if, per hour, alpha drifts by {percent(drift.alpha)} and"
+            f" zeros by {1e6 * drift.zero:.3g} uN; {1e6 * drift.remounting:.3g} uN per mounting:"
         )
-        for cost in outcome.orders:
-            yield f"    {_turns(cost.turns):<22}{_order_cost(cost, plan.turns)}"
-        yield f"    {_remounting_pays(outcome)}"
+        head = "order of the loads", "alpha", "zeros", "mounting", "total", "time", ""
+        rows = (_order_cost(cost, plan.turns) for cost in outcome.orders)
+        yield from table_lines(title, head, *rows)
+        yield f"  {_remounting_pays(outcome)}"
     if (third := outcome.third_load) is not None:
-        seen = f"{1e3 * third.seen:.2g} mN ({percent(third.relative)} of scale)"
         yield (
-            f"  a third load, as heavy and as well known as '{third.like}', shows what two cannot:"
-            f" {seen} by which '{third.like}' is wrong or carried by something else, and in part"
-            " coils whose static gains are not the elastic ones; it costs"
-            f" {_time(third.duration)}, {third.mountings} more changes of load; scale"
-            f" {percent(third.error_now)} -> {percent(third.error)}"
+            f"  advice: A third load with the weight and uncertainty of '{third.like}' reduces the"
+            f" scale error from {percent(third.error_now)} to {percent(third.error)}. It detects"
+            f" {1e3 * third.seen:.2g} mN ({percent(third.relative)} of the scale) of '{third.like}'"
+            " that are wrong or rest on something else, which two loads cannot detect. It takes"
+            f" {_time(third.duration)} and {third.mountings} more load changes."
         )
 
 
@@ -152,14 +152,11 @@ def _turns(turns: int) -> str:
     return ("one after the other", "there and back", "there, back, there")[turns - 1]
 
 
-def _order_cost(cost: OrderCost, planned: int) -> str:
-    """Return the errors of the scale and the time of an order."""
-    taken = " (planned)" if cost.turns == planned else ""
-    return (
-        f"alpha {percent(abs(cost.gain))}, zeros {percent(abs(cost.zero))}, mounting"
-        f" {percent(cost.remounting)}; with weights and readings {percent(cost.error)};"
-        f" {_time(cost.duration)}{taken}"
-    )
+def _order_cost(cost: OrderCost, planned: int) -> tuple[str, ...]:
+    """Return an order of the loads, the errors of the scale by it, and its time."""
+    errors = abs(cost.gain), abs(cost.zero), cost.remounting, cost.error
+    taken = "planned" if cost.turns == planned else ""
+    return _turns(cost.turns), *map(percent, errors), _time(cost.duration), taken
 
 
 def _remounting_pays(outcome: PlanPrediction) -> str:
@@ -168,9 +165,10 @@ def _remounting_pays(outcome: PlanPrediction) -> str:
     without = without_remounting(ready.plan, ready.mirror, len(ready.shapes), most)
     extra = most.changes - outcome.orders[0].changes
     return (
-        f"mounting {extra} times more costs {_time(most.duration - outcome.orders[0].duration)};"
-        f" that time in cycles instead leaves {percent(without)}, in turn {percent(most.error)}:"
-        f" turns = {turns_that_pay(ready.plan, ready.mirror, len(ready.shapes))} recommended"
+        f"recommended: turns = {turns_that_pay(ready.plan, ready.mirror, len(ready.shapes))}"
+        f" ({counted(extra, 'more mounting')} in"
+        f" {_time(most.duration - outcome.orders[0].duration)} give {percent(most.error)}; more"
+        f" cycles in that time give {percent(without)})"
     )
 
 
@@ -188,17 +186,17 @@ def change_lines(target: float | None, changes: Sequence[Change]) -> Iterator[st
     if target is None:
         return
     if not changes:
-        yield f"  {percent(target)} is reached as it is"
+        yield f"  the plan reaches {percent(target)}"
         return
-    yield f"  for {percent(target)}, one of these alone:"
+    yield f"  to reach {percent(target)}, change one of these:"
     for change in changes:
         if change.reached:
             said = f"{change.change}: {percent(change.error)}, {_time(change.duration)}"
         elif change.plan is not None:
-            error = percent(change.error) if change.error < float("inf") else "the scale free"
-            said = f"cannot: even {change.change} leaves {error}"
+            error = percent(change.error) if change.error < float("inf") else "a free scale"
+            said = f"not sufficient: {change.change} gives {error}"
         else:
-            said = f"cannot: {change.change}"
+            said = f"not possible: {change.change}"
         yield f"    {change.what:<22}{said}"
 
 

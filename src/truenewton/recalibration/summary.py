@@ -11,7 +11,7 @@ from truenewton.calibration.summary import summary_lines, summary_values
 from truenewton.files.format import attributes
 from truenewton.recalibration.fit import Recalibration
 from truenewton.records.parts import Parts, by_number, has_parts
-from truenewton.rounding import chance_text, percent, with_error
+from truenewton.rounding import chance_text, percent, table_lines, with_error
 
 
 def lines(made: Recalibration | Parts[Recalibration], calibration: AnyCalibration) -> Iterator[str]:
@@ -26,7 +26,7 @@ def _changes_of_all(made: Recalibration | Parts[Recalibration]) -> Iterator[str]
         yield from _changes(one)
         yield f"  {_others(one)}"
         if one.scatter and not number:
-            yield f"  each of them has changed by {percent(one.scatter)} since; errors include it"
+            yield f"  each has changed by {percent(one.scatter)} since; errors include this"
 
 
 def _changes(made: Recalibration) -> Iterator[str]:
@@ -36,10 +36,7 @@ def _changes(made: Recalibration) -> Iterator[str]:
     for one in made.moved:
         chance = chance_text(one.probability)
         changed[one.actuator] = f"MOVED: {abs(one.sigmas):.1f} sigma, {chance}"
-    if changed:
-        yield f"  {'actuator':<14}{'before':<12}{'now':<22}change"
-    else:
-        yield "  no actuator changed"
+    rows = [("actuator", "before", "now", "change", "")]
     for name, words in changed.items():
         actuator_index = int((c.layout.id == name).argmax())
         before, now, error = (
@@ -48,12 +45,13 @@ def _changes(made: Recalibration) -> Iterator[str]:
         was, change = f"{before:.4g}", f"{100 * (now / before - 1):+.2f} %"
         if not math.isfinite(before):
             was, change = "-", "no earlier value"
-        yield f"  {name:<14}{was:<12}{with_error(now, error):<22}{change}, {words}"
+        rows.append((str(name), was, with_error(now, error), change, words))
+    yield from table_lines("  changed:", *rows) if changed else ["  no actuator changed"]
 
 
 def _others(made: Recalibration) -> str:
     return (
-        "other actuators against their earlier calibration: chi2/DOF ="
+        "other actuators relative to their earlier calibration: chi2/DOF ="
         f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"
         f" probability {made.probability:.2g}; "
         + ("they agree" if made.moved else "none has moved (false alarms on 1 % of mirrors)")

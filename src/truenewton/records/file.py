@@ -286,7 +286,7 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
             inside = [p for p in inside if p.name.endswith(SUFFIXES + HDF5) and p.name[0] != "."]
         if not inside:
             remedy = "give the folder of a campaign, whose files end in .fits, .fits.gz or .h5"
-            raise UnreadableFile("holds no FITS or HDF5 files", remedy=remedy, path=path)
+            raise UnreadableFile("contains no FITS or HDF5 files", remedy=remedy, path=path)
         files += inside
     return list({os.path.realpath(p): p for p in files}.values())
 

@@ -92,7 +92,7 @@ def _require_stored(cycle: Cycle) -> None:
     if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
         raise FormatError(
             "is gzipped, or FORCE or POSITION has TSCAL or TDIM: workers cannot read parts of it",
-            remedy="write it anew with write_cycle, or calibrate without a cluster",
+            remedy="write it again with write_cycle, or calibrate without a cluster",
             path=cycle.name,
         )
 

@@ -77,7 +77,7 @@ class StiffnessMatrix:
             )
         counted = self.used_stiffness
         if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > MAX_MAGNITUDE:
-            raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
+            raise FormatError("STIFFNESS contains NaN, inf or absurd values", remedy="correct them")
         if not np.abs(counted).max(initial=0.0) > 1e-9:
             raise FormatError(
                 "STIFFNESS is zero throughout, or next to it", remedy="measure it; in N/m"

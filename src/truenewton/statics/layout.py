@@ -125,7 +125,7 @@ class Layout:
         values, count = np.unique(self.id, return_counts=True)
         if (count > 1).any():
             raise GeometryError(
-                f"actuator ID {values[count > 1][0]} stands {count.max()} times",
+                f"actuator ID {values[count > 1][0]} occurs {count.max()} times",
                 remedy="give every actuator its own ID, whatever its segment",
             )
         at = np.round([self.x / 1e-9, self.y / 1e-9])
@@ -135,7 +135,7 @@ class Layout:
             x, y = places[:, which] * 1e-9
             one, other = self.id[np.ravel(first) == which][:2]
             raise GeometryError(
-                f"two actuators stand at x = {x:.6g} m, y = {y:.6g} m: {one} and {other}",
+                f"two actuators are at x = {x:.6g} m, y = {y:.6g} m: {one} and {other}",
                 remedy="correct their positions",
             )
 

@@ -80,7 +80,7 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
     if n < MIN_ACTUATORS:
         raise GeometryError(
             f"only {counted(n, 'actuator')} enabled",
-            remedy="enable five at least: three hold the mirror, and two patterns are needed",
+            remedy="enable at least five: three fix the rigid motions, and two patterns are needed",
         )
     if np.linalg.cond(a[:, -3:] / np.abs(a).max(axis=1)[:, None]) > 1e8:
         raise GeometryError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from truenewton.bench.simulated.truth import Truth
 from truenewton.calibration.result import Calibration
-from truenewton.rounding import percent
+from truenewton.rounding import percent, table_lines
 from truenewton.statics.load import Load
 
 
@@ -41,9 +41,8 @@ def truth_lines(
     calibration: Calibration, truth: Truth, loads: Sequence[Load], score: Score, by_svd: Score
 ) -> Iterator[str]:
     """Yield an estimate beside the truth; loads as declared, scores of the estimate and by svd."""
-    yield f"{'':<22}{'estimate':>10} {'truth':>10}"
     rows = [("B [N]", calibration.bias_force, truth.bias_force)]
-    for name in ("y", "x"):
+    for name in ("x", "y"):
         estimated, true = (getattr(each, f"torque_{name}") for each in (calibration, truth))
         rows += [
             (f"M_{name} {load} [mN m]", 1e3 * a, 1e3 * b)
@@ -51,14 +50,13 @@ def truth_lines(
         ]
     alphas = zip(truth.layout.id[:3], calibration.alpha, truth.alpha, strict=False)
     rows += [(f"alpha {ident}", a, b) for ident, a, b in alphas]
-    for name, estimate, true in rows:
-        yield f"{name:<22}{estimate:10.4f} {true:10.4f}"
+    texts = ((name, f"{estimate:.4f}", f"{true:.4f}") for name, estimate, true in rows)
+    yield from table_lines("estimate and truth:", ("", "estimate", "truth"), *texts)
     yield (
-        f"all {truth.layout.n} alphas: common scale off by {percent(score.scale_error)} (the ring"
-        f" weighs {1e3 * abs(truth.added[1]):.1f} mN, not the {1e3 * abs(loads[1].added):.0f} mN"
-        " declared);"
+        f"error of the common scale: {percent(score.scale_error)} (the ring weighs"
+        f" {1e3 * abs(truth.added[1]):.1f} mN, declared: {1e3 * abs(loads[1].added):.0f} mN)"
     )
     yield (
-        f"that aside, rms error {percent(score.pattern_error)}, and"
-        f" {percent(by_svd.pattern_error)} by the paper's svd on the same data"
+        f"rms error of alpha relative to the scale: {percent(score.pattern_error)}; with the svd"
+        f" of the paper: {percent(by_svd.pattern_error)}"
     )

@@ -181,11 +181,11 @@ class Tracking(Result):
         on = self.layout.enabled & np.isfinite(self.alpha)
         alpha = np.abs(self.alpha[on])
         if not (on.any() and alpha.min() > 1 / LARGEST_ALPHA and alpha.max() < LARGEST_ALPHA):
-            raise FormatError("ALPHA holds no usable numbers", remedy="track again")
+            raise FormatError("ALPHA contains no usable numbers", remedy="track again")
         for name, values in (("K", self.coefficient), ("DRIFT", self.drift),
                              ("SCATTER", self.scatter)):  # fmt: skip
             if not (np.abs(values[on]) < LARGEST_ALPHA).all():
-                raise FormatError(f"{name} holds no usable numbers", remedy="track again")
+                raise FormatError(f"{name} contains no usable numbers", remedy="track again")
         if (self.scatter[on] < 0).any() or self.common_scatter < 0 or self.scatter_degrees < 0:
             raise FormatError("SCATTER is negative", remedy="track again")
         if not set(self.effects) <= {"temperature", "drift"}:

@@ -14,7 +14,7 @@ from truenewton.errors import Fault
 from truenewton.files.format import attributes, columns_by_name
 from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.records.result import Summary, summary_of
-from truenewton.rounding import chance_text, counted, numbered, row, with_error
+from truenewton.rounding import chance_text, counted, numbered, row, table_lines, with_error
 from truenewton.tracking.law import ACTUATORS, DAYS, Tracking, Validity, validity_of
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
@@ -97,14 +97,13 @@ def remarks(tracking: Tracking) -> Iterator[str]:
 def table_of(tracking: Tracking | Parts[Tracking]) -> Iterator[str]:
     """Yield the table of the actuators, segment by segment."""
     for number, t in by_number(tracking).items():
-        if number:
-            yield f"segment {number}"
-        yield f"  {'actuator':<10}{'alpha':<20}{'k [%/K]':<20}drift [%/yr]"
+        rows = [("actuator", "alpha", "k [%/K]", "drift [%/yr]")]
         columns = (t.layout.id, t.alpha, t.coefficient, t.drift, *t.errors)
         for name, a, k, d, ea, ek, ed in zip(*columns, strict=True):
             coefficient = with_error(100 * k, 100 * ek) if "temperature" in t.effects else "-"
             drift = with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-"
-            yield f"  {name!s:<10}{with_error(a, ea):<20}{coefficient:<20}{drift}"
+            rows.append((str(name), with_error(a, ea), coefficient, drift))
+        yield from table_lines(f"segment {number}" if number else "actuators:", *rows)
 
 
 def _validity_lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]:

@@ -13,7 +13,7 @@ from truenewton.mirrors.shell.shell_model import forces_under, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
 
-ANEW = "load put on anew by file"
+ANEW = "load repositioned between files"
 MIRROR = replace(p45(), weight_error=0.0)
 LOADS = (Load("bare"), Load("ring", -0.289, 0.0, tool="ring"))
 

@@ -1,4 +1,4 @@
-"""A matrix whose forces balance as commanded tells no alpha: cleaned of rigid motions, or true."""
+"""A matrix that balances with alpha = 1: rigid-body modes were removed, or it is a true one."""
 
 from dataclasses import replace
 
@@ -60,7 +60,7 @@ def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
     assert effect.remedy == "give the matrix as it was measured"
     made = stiffness_from(k, matrix.layout, unit="N/m")
     assert (made.balanced, made.transposed) == (True, False)
-    assert "cleaned of rigid motions?" in repr(made)
+    assert "rigid-body modes" in repr(made)
     assert "TRANSPOSED" not in repr(made)
 
 
@@ -90,11 +90,13 @@ def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
     truth = p45_bench().truth
     k = truth.stiffness / (1.0 + 0.015 * np.random.default_rng(6).standard_normal(45))[:, None]
     k = 0.5 * (k + k.T)
-    with pytest.warns(TrueNewtonWarning, match="symmetric and balanced as commanded: a true one"):
+    with pytest.warns(
+        TrueNewtonWarning, match="symmetric and balances with alpha = 1: a true stiffness"
+    ):
         found = find_modes(StiffnessMatrix("P45", START, truth.layout, k))
     assert (found.calibration.alpha[truth.layout.enabled] == 1.0).all()
     [warning] = found.warnings
-    assert "taken for a true one" in warning.fault
+    assert "treated as a true one" in warning.fault
     assert "alpha is 1" in warning.fault
     assert found.imbalance[0] == found.imbalance[1]
 
@@ -115,7 +117,7 @@ def test_every_command_says_what_was_done_to_it(inside, tmp_path):
     assert "LOOKS TRANSPOSED" not in out
     code, _, err = inside("calibrate", tmp_path / "k.fits", *svd, "-o", tmp_path / "alpha.fits")
     assert code == 2
-    said = "already balanced as commanded: alpha is gone (cleaned of rigid motions?)"
+    said = "STIFFNESS already balances with alpha = 1, so it contains no information on alpha"
     assert said in err
     assert not (tmp_path / "alpha.fits").exists()
     code, out, _ = inside("info", tmp_path / "k.fits", *svd)

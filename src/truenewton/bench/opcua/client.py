@@ -62,7 +62,7 @@ class OpcUaBench:
             if not getattr(choice, name):
                 raise BenchFault(
                     f"OPC UA needs bench.{name}",
-                    remedy="give it in the plan; `truenewton serve` prints its own",
+                    remedy="specify it in the plan; `truenewton serve` prints the right one",
                 )
         self._choice, folder = choice, Path(folder)
         self._password = keys.read_password(folder / choice.password_file)

@@ -82,7 +82,7 @@ def read_password(path: str | os.PathLike[str]) -> str:
     """Return the password in a file that only its owner may read."""
     password = _parsed(path, "text", lambda content: content.decode().strip(), secret=True)
     if not password:
-        raise FormatError("holds no password", remedy="write one line", path=path)
+        raise FormatError("contains no password", remedy="write one line", path=path)
     return password
 
 

@@ -187,7 +187,7 @@ class _Methods:
         if present is None or present.key != Load(load).key:
             there = "no load" if present is None else f"'{present.name}'"
             raise BenchFault(
-                f"the shape is for load '{load}', and the server knows of {there} on the mirror",
+                f"the shape is for load '{load}', but {there} is on the mirror",
                 remedy="put the load on first",
             )
         displacement = np.array(position, dtype=float)

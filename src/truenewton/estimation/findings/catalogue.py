@@ -56,13 +56,13 @@ _GIVE_MIRROR = (
     "name the mirror (--mirror) unless you did, and check the positions and order of the sensors"
 )
 _CHECK_WEIGHT = (
-    "check WEIGHT and its unit, N (kilograms times -9.81), and those of FORCE; B is wrong by as"
-    " much, and alpha too where a load is tilted"
+    "check WEIGHT and its unit (N: kilograms times -9.81), and those of FORCE; B has the same"
+    " error, and if a load is tilted, alpha is wrong too"
 )
 _DISABLE = "set ENABLED to F if it exerts no force"
 _IN_ORDER = "put the columns of {detail} in that file in the order of ACTUATORS, or leave it out"
 ORDER_OF_BOTH = "put the columns of FORCE and POSITION in the order of the ACTUATORS table"
-_FROZEN_ROWS = "leave the file out, or mark the rows that repeat the one before as not VALID"
+_FROZEN_ROWS = "leave the file out, or mark the rows that repeat the previous row as not VALID"
 _LABELS = "correct SHAPE and SIGN of the file, or leave it out"
 
 ENTRIES: dict[Code, Entry] = {
@@ -76,7 +76,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.ZERO_BY_HOUR_OF_EACH: Entry("zero by hour of each"),
     Code.ZERO_BY_FILE: Entry("zero by file"),
     Code.ZERO_BY_FILE_OF_EACH: Entry("zero by file of each"),
-    Code.LOAD_REPOSITIONED: Entry("load put on anew by file"),
+    Code.LOAD_REPOSITIONED: Entry("load repositioned between files"),
     Code.QUADRATIC_COIL: Entry("quadratic coil"),
     Code.QUADRATIC_COIL_OF_EACH: Entry("quadratic coil of each"),
     Code.CUBIC_COIL: Entry("cubic coil"),
@@ -90,10 +90,10 @@ ENTRIES: dict[Code, Entry] = {
     Code.CORRELATED_NOISE: Entry("correlated noise"),
     Code.TEMPERATURE_BETWEEN_LOADS: Entry("temperature between the loads", level=Level.USABLE),
     Code.DEAD_NO_FORCE: _of_silent(
-        "dead actuator, no force is commanded", f"look at its coil, driver and cable; {_DISABLE}"
+        "dead actuator, no force is commanded", f"check its coil, driver and cable; {_DISABLE}"
     ),
-    Code.DEAD_ALPHA_ZERO: _of_silent("dead actuator, alpha is 0", "look at its coil and magnet"),
-    Code.STUCK_READING: _of_silent("stuck reading", f"have its electronics looked at; {_DISABLE}"),
+    Code.DEAD_ALPHA_ZERO: _of_silent("dead actuator, alpha is 0", "check its coil and magnet"),
+    Code.STUCK_READING: _of_silent("stuck reading", f"check its electronics; {_DISABLE}"),
     Code.NEGATIVE_ALPHA: Entry(
         "alpha is negative, the poles are exchanged",
         level=Level.USABLE,
@@ -102,7 +102,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.FROZEN_SENSOR: Entry(
         "frozen sensor",
         level=Level.USABLE,
-        remedy="have its electronics looked at, and leave the files out where POSITION is needed",
+        remedy="check its electronics, and leave the files out if POSITION is needed",
     ),
     Code.ACTUATOR_OFF: Entry("actuator is off", cured="left out"),
     Code.ACTUATOR_MISFIT: Entry("actuator does not fit", cured="left out"),
@@ -112,7 +112,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.OTHER_UNIT: _of_input("{} in another unit", "correct the unit of {detail} in that file"),
     Code.OTHER_SIGN: _of_input(
         "{} of the other sign",
-        "turn the sign of {detail} in that file, or leave it out; look at the plug, and at"
+        "reverse the sign of {detail} in that file, or leave it out; check the plug, and"
         " the order of SHAPE and SIGN",
     ),
     Code.OTHER_LOAD: _of_input("wrong LOAD of a file", "correct LOAD of the file, or remove it"),
@@ -121,25 +121,23 @@ ENTRIES: dict[Code, Entry] = {
     Code.OTHER_ORDER: _of_input("another order of {}", _IN_ORDER),
     Code.ORDER_OF_POSITION: _of_input("order of FORCE is not that of POSITION", ORDER_OF_BOTH),
     Code.MISPLACED_ACTUATOR: _of_input(
-        "actuator stands elsewhere than at its X and Y",
+        "actuator is not at its X and Y",
         "correct X and Y in that row of ACTUATORS, in m",
     ),
     Code.TWO_MIRRORS: _of_input(
         "files of two mirrors, campaigns or lists of shapes",
-        "calibrate together what was taken of one mirror with the same shapes, and no actuator"
-        " replaced in between; or mark rows as not VALID in which the load was not on",
+        "calibrate only files of one mirror with the same shapes, without an actuator"
+        " replaced in between; or mark as not VALID the rows in which the load was not on",
     ),
     Code.CONSTANT_POSITION: _of_input(
         "POSITION is the same in all rows",
-        "leave the column out where no sensors were read; then COILGRAD, BIASGRAD are not used",
+        "remove the column if no sensors were read; COILGRAD and BIASGRAD are then not used",
     ),
     Code.UNUSABLE_CALIBRATION: _of_input("earlier calibration that was rejected"),
     Code.SIGN_REVERSED: _of_rows("SIGN reversed", _LABELS),
     Code.SHAPE_OFFSET: _of_rows("SHAPE counted from another one", _LABELS),
     Code.OTHER_LABELS: _of_rows("SHAPE and SIGN label other rows", _LABELS),
-    Code.FROZEN_READING: _of_rows(
-        "frozen reading", f"{_FROZEN_ROWS}; have its electronics looked at"
-    ),
+    Code.FROZEN_READING: _of_rows("frozen reading", f"{_FROZEN_ROWS}; check its electronics"),
     Code.FROZEN_READINGS: _of_rows("frozen readings", _FROZEN_ROWS),
     Code.CLIPPED_READINGS: _of_rows(
         "readings cut off at a limit",
@@ -154,11 +152,12 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.TRANSPOSED_STIFFNESS: _of_input("transposed stiffness"),
     Code.CLEANED_STIFFNESS: _of_input(
-        "STIFFNESS already balanced as commanded: alpha is gone (cleaned of rigid motions?)"
+        "STIFFNESS already balances with alpha = 1, so it contains no information on alpha"
+        " (rigid-body modes removed?)"
     ),
     Code.TRUE_STIFFNESS: _of_input(
-        "STIFFNESS symmetric and balanced as commanded: a true one, or alpha is gone (cleaned of"
-        " rigid motions?)"
+        "STIFFNESS is symmetric and balances with alpha = 1: a true stiffness, or rigid-body modes"
+        " were removed"
     ),
     Code.WEAK_PATTERNS: _usable(
         "poorly determined: {count:count pattern} of alpha; the weakest is {weakest}",
@@ -170,8 +169,8 @@ ENTRIES: dict[Code, Entry] = {
         "use E_ALPHA, and COVARIANCE for differences along other patterns",
     ),
     Code.NO_LOAD_SEEN: _rejected(
-        "the forces are the same under all loads: no added weight is seen in them",
-        "check that each load lay on the mirror in the files of its name, and the keywords ADDED,"
+        "the forces are the same under all loads, so the added weight does not show in them",
+        "check that each load was on the mirror in the files with its name, and check ADDED,"
         " BIASGRAD and COILGRAD",
     ),
     Code.ONE_LOAD: _fact(
@@ -185,12 +184,12 @@ ENTRIES: dict[Code, Entry] = {
         "check ADDED and TILT, or add a load that differs",
     ),
     Code.SIMILAR_LOADS: _usable(
-        "the loads differ by no more than {difference:.2g} N of {largest:.3g} N, which alone fixes"
-        " the common scale",
+        "the loads differ by no more than {difference:.2g} N of {largest:.3g} N, and only this"
+        " difference fixes the common scale",
         "take a load that differs by a tenth of the mirror's weight; more shapes do not help",
     ),
     Code.NO_OTHER_LOAD: _rejected(
-        "no load differs from another, so nothing fixes the common scale",
+        "all loads have the same weight, so the common scale is not determined",
         "add cycles under a load of another known weight",
     ),
     Code.ERROR_TOO_LARGE: _rejected(
@@ -199,21 +198,21 @@ ENTRIES: dict[Code, Entry] = {
         "add shapes and cycles, use larger forces, or loads that differ more in weight",
     ),
     Code.DATES_APART: _usable(
-        "by DATE-OBS {days:.0f} days lie between {files:list} and the other files",
-        "correct DATE-OBS, by which drifts are found; or calibrate what was taken together",
+        "DATE-OBS of {files:list} is {days:.0f} days from that of the other files",
+        "correct DATE-OBS, which is used to find drifts; or calibrate only files taken together",
     ),
     Code.TEMPERATURE_IMPLAUSIBLE: _usable(
         "the mean TEMPERATURE is {temperature:.3g} deg C",
-        "check its unit: 68 is 20 deg C in Fahrenheit",
+        "check its unit: 20 deg C is 68 in Fahrenheit",
     ),
     Code.WEIGHT_ABOVE_FORCES: _doubtful(
         "WEIGHT is {weight:.3g} N, {each:.2g} N for each actuator, but no actuator exerted more"
-        " than {largest:.2g} N: B comes to {bias:.3g} N",
+        " than {largest:.2g} N: B is estimated as {bias:.3g} N",
         _CHECK_WEIGHT,
     ),
     Code.WEIGHT_BELOW_BIAS: _doubtful(
-        "WEIGHT is {weight:.3g} N, several times less than the bias magnets hold: B comes to"
-        " {bias:.3g} N",
+        "WEIGHT is {weight:.3g} N, several times less than the force of the bias magnets: B is"
+        " estimated as {bias:.3g} N",
         _CHECK_WEIGHT,
     ),
     Code.WEIGHTS_DISAGREE: _doubtful(
@@ -221,14 +220,14 @@ ENTRIES: dict[Code, Entry] = {
         "check ADDED, TILT and their errors",
     ),
     Code.WEIGHTS_WITHOUT_ERRORS: _usable(
-        "the weights are given without errors{which}: the common scale has no stated error, and 1 %"
-        " in the added weight is 1 % in every alpha",
+        "the weights are given without errors{which}: the common scale has no stated error. An"
+        " error of the added weight by 1 % changes every alpha by 1 %",
         "write the standard uncertainties of the weighing into the files (E_WEIGHT and E_ADDED in"
         " N, E_TILT in degrees)",
     ),
     Code.SCALE_BY_WEIGHTS: _usable(
         "the common scale is known to {error:percent}{share}",
-        "better known weights would help, more cycles would not",
+        "weigh more accurately; more cycles do not help",
     ),
     Code.ALPHA_FAR_FROM_ONE: _rejected(
         "alpha is about {alpha}, and would be near 1 if all values were in N. Possible causes:"
@@ -236,31 +235,31 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.NOISE_ABOVE_DECLARED: _usable(
         "repeated shapes scatter by {noise:.2g} mN, {ratio:.3g} times FORCERR",
-        "look for what moves the mirror or the readings between repeats, and correct FORCERR",
+        "find what moves the mirror or the readings between repeats, and correct FORCERR",
     ),
     Code.FORCE_STEPS: _usable(
-        "FORCE comes in steps of {step:.3g} mN, which is most of its noise: E_STAT includes"
+        "FORCE comes in steps of {step:.3g} mN, which cause most of its noise: E_STAT includes"
         " {noise:.2g} mN, step / root 12",
-        "record FORCE in finer steps, or means of several readings, if that is not good enough",
+        "if you need smaller errors, record FORCE in finer steps or as means of several readings",
     ),
     Code.ZEROS_RESET: _usable(
-        "the zeros of {sensors:count sensor} were reset between files: these count from each file's"
-        " own mean, and E_STAT does not include motion between files",
-        "keep the zeros of the sensors through a campaign",
+        "the zeros of {sensors:count sensor} were reset between files: they are read relative to"
+        " the mean of each file, and E_STAT does not include motion between files",
+        "do not reset the sensors during a campaign",
     ),
     Code.MISFIT: _doubtful(
-        "the model does not fit the data: E_STAT was multiplied by {factor:.2g} for it",
-        "look for what differs between files: a drift, a label, contact with the glass"
+        "the model does not fit the data: E_STAT was multiplied by {factor:.2g}",
+        "find what differs between files: a drift, a label, contact with the glass"
         " (docs/effects.md)",
     ),
     Code.MISFIT_EXPLAINED: _doubtful(
-        "the model fits the data only with the effects that were found: E_STAT includes how far"
-        " alpha would move by them",
+        "the model fits the data only with the effects that were found: E_STAT includes the"
+        " change of alpha by them",
         "find out which of them is real (docs/effects.md)",
     ),
     Code.MISFIT_OF_SVD: _doubtful(
-        "the shapes are out of balance by {factor:.2g} times what their noise explains",
-        "take method ml, which looks for effects of the bench",
+        "the imbalance of the shapes is {factor:.2g} times what their noise explains",
+        "use method ml, which looks for effects of the bench",
     ),
     Code.MISFIT_SENSELESS: _rejected(
         "the remaining imbalance is {factor:.2g} times the noise",
@@ -268,32 +267,32 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.FIT_TOO_GOOD: _doubtful(
         "the shapes balance better than the scatter of their repeats predicts",
-        "look for what differs between files: a label, a drift, zeros that move",
+        "find what differs between files: a label, a drift, zeros that move",
     ),
     Code.ROWS_REJECTED: _usable(
         "{count:count row} did not fit and {was} left out{farthest}",
-        "look at the residuals, and at an actuator that is named repeatedly",
+        "check the residuals, and an actuator that is named repeatedly",
     ),
     Code.MANY_ROWS_REJECTED: _doubtful(
         "{share:percent} of the rows do not fit", "find out what happened during the run"
     ),
     Code.SVD_USES_ALL_ROWS: _doubtful(
-        "svd uses all rows, also {count:count row} that ml leaves out",
-        "use ml, or mark as not VALID those that do not belong",
+        "method svd uses all rows, including {count:count row} that ml leaves out",
+        "use ml, or mark these rows as not VALID",
     ),
     Code.SVD_BIAS: _usable(
-        "svd is biased by {bias:percent} (rms over actuators, to first order), which its errors do"
-        " not include",
+        "method svd is biased by {bias:percent} (rms over actuators, to first order), which its"
+        " errors do not include",
         "use ml",
     ),
     Code.SVD_BIAS_LARGE: _doubtful(
-        "svd is biased by {bias:percent} (rms over actuators, to first order), more than its stated"
-        " errors",
+        "method svd is biased by {bias:percent} (rms over actuators, to first order), more than its"
+        " stated errors",
         "use ml",
     ),
     Code.MANY_SILENT: _rejected(
-        "{count} of {n} actuators are dead, or their readings stuck",
-        "look at what drives and reads them; set ENABLED to F where there is no force",
+        "{count} of {n} actuators are dead or have stuck readings",
+        "check their drivers and readout; set ENABLED to F for actuators without force",
     ),
     Code.MANY_NEGATIVE: _rejected(
         "alpha is negative for {count} of {n} actuators",
@@ -306,36 +305,35 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.ALPHA_ZERO: _usable(
         "{actuators:names actuator}: dead, alpha is {alpha}",
-        "look at its coil and magnet; set ENABLED to F if it exerts no force",
+        f"check its coil and magnet; {_DISABLE}",
     ),
     Code.ALPHA_OUTLIER: _usable(
         "{actuators:names actuator}: outlier, alpha is {alpha}",
-        "look at its coil, magnet and wiring",
+        "check its coil, magnet and wiring",
     ),
     Code.STIFFNESS_UNIT: _usable(
-        "STIFFNESS looks like {unit}: {own:.2g} is typical of its diagonal, {usual:.0e} N/m of"
-        " mirrors",
-        "store it in N/m; relative alpha is the same, stiffness of modes is not",
+        "STIFFNESS looks like {unit}: its median diagonal element is {own:.2g}, that of mirrors"
+        " about {usual:.0e} N/m",
+        "store it in N/m: the unit changes the stiffness of modes, but not relative alpha",
     ),
     Code.LOOKS_TRANSPOSED: _doubtful(
-        "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
-        " balance",
-        "store [i, j], the force of actuator i per displacement of sensor j",
+        "STIFFNESS looks transposed: the rigid-body residual is larger than the column imbalance",
+        "store the force of actuator i per displacement of sensor j as element [i, j]",
     ),
     Code.COLUMN_NOISE_NOT_INDEPENDENT: _usable(
         "the imbalance of the columns of STIFFNESS is not independent noise of their elements, so"
-        " alpha is that of the elastic modes, each with the error that it shows",
-        "expect larger errors along smooth patterns of alpha; cycles under known weights would"
-        " constrain them",
+        " alpha was estimated from the elastic modes, each with its own scatter",
+        "do not rely on large-scale gradients of alpha; cycles under known weights would constrain"
+        " them",
     ),
     Code.HALVES_INSUFFICIENT: _doubtful(
-        "cross-validation is not possible, half of the modes do not constrain alpha: {fault}"
+        "cross-validation is not possible because half of the modes do not constrain alpha: {fault}"
     ),
     Code.HELD_OUT_IMBALANCE: _doubtful(
         "held-out modes are unbalanced by up to {held_out:percent} of their force, fitted modes by"
         " {fitted:percent}",
-        "expect larger errors along smooth patterns of alpha; cycles under known weights would"
-        " constrain them",
+        "do not rely on large-scale gradients of alpha; cycles under known weights would constrain"
+        " them",
     ),
     Code.HARMFUL_ALPHA: _rejected(
         "held-out modes balance worse with alpha ({after:percent} of their force) than with alpha ="
@@ -348,20 +346,20 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.MANY_MISFITS: _doubtful(
         "{count} of {n} actuators do not fit the others: {actuators:names actuator}",
-        "look at coil, driver, cable, sensor and position of each, and measure again",
+        "check coil, driver, cable, sensor and position of each, and measure again",
     ),
     Code.OFF_BUT_PUSHING: _doubtful(
-        "{actuators:names actuator}: row or column of STIFFNESS is zero, but the columns around do"
-        " not balance, as if the actuator had pushed",
+        "{actuators:names actuator}: row or column of STIFFNESS is zero, but the neighbouring"
+        " columns do not balance, as if the actuator had exerted a force",
         "measure the stiffness with it switched off",
     ),
     Code.NEGATIVE_MODES: _doubtful(
-        "negative stiffness of {count:count elastic mode} of the matrix, down to {lowest:.3g} N/m",
+        "the matrix has {count:count elastic mode} of negative stiffness, down to {lowest:.3g} N/m",
         "check order, sign and completeness of the matrix, and measure again with less noise",
     ),
     Code.NEGATIVE_MODES_IN_NOISE: _usable(
-        "negative stiffness of {count:count elastic mode} of the matrix, down to {lowest:.3g} N/m,"
-        " no more than its noise makes",
+        "the matrix has {count:count elastic mode} of negative stiffness, down to {lowest:.3g} N/m,"
+        " which its noise explains",
         "measure again with less noise before you use soft modes",
     ),
     Code.SYMMETRY_NOT_IMPROVED: _doubtful(
@@ -391,10 +389,10 @@ ENTRIES: dict[Code, Entry] = {
         "find out how the matrix was processed, and use it as it was measured",
     ),
     Code.SEGMENTS_COUPLED: _doubtful(
-        "it is coupled to other segments by {size:.2g} N/m rms, where elements of its own are"
-        " {own:.2g} N/m rms",
-        "correct SEGMENT, or the order of STIFFNESS; what joins two bodies leaves neither a balance"
-        " of its own",
+        "the segment is coupled to others by {size:.2g} N/m rms; its own elements are {own:.2g} N/m"
+        " rms",
+        "correct SEGMENT, or the order of STIFFNESS; bodies that are joined do not balance"
+        " separately",
     ),
     Code.RECIPROCITY_NOT_USED: _fact(
         Level.SOUND,
@@ -403,11 +401,11 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.RECIPROCITY_DOUBTFUL: _doubtful("reciprocity is doubtful: {cause}", "use ml; {advice}"),
     Code.RECIPROCITY_EXCLUDED: _usable(
-        "reciprocity does not hold for {actuators:names actuator}: alpha there is that of ml",
-        "look at their sensors, wiring and positions",
+        "{actuators:names actuator}: reciprocity is violated, so alpha is that of ml",
+        "check their sensors, wiring and positions",
     ),
     Code.RECIPROCITY_INFLATED: _doubtful(
-        "reciprocity fits badly: E_STAT was multiplied by {factor:.2g} for it"
+        "the fit of reciprocity is poor: E_STAT was multiplied by {factor:.2g}"
     ),
     Code.BALANCE_CONTRADICTS_SYMMETRY: _doubtful(
         "balance and reciprocity contradict each other: the errors of reciprocity are"
@@ -416,29 +414,27 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.EFFECT_PRESENT: _doubtful("the data show {effect}", "correct that first"),
     Code.ESTIMATE_FAILED: _doubtful("{fault}"),
-    Code.INTERRUPTED: _usable("it was interrupted", "let it run to its end, or choose --method ml"),
-    Code.MISFIT_ACTUATORS: _doubtful(
-        "it does not hold for {count:count actuator} or more", _GIVE_MIRROR
-    ),
+    Code.INTERRUPTED: _usable("the fit was interrupted", "let it finish, or choose --method ml"),
+    Code.MISFIT_ACTUATORS: _doubtful("{count:count actuator} or more violate it", _GIVE_MIRROR),
     Code.TRANSPOSED: _doubtful(
-        "STIFFNESS looks transposed, and then it takes alpha for sensor gains",
-        "store [i, j], the force of actuator i per displacement of sensor j",
+        "STIFFNESS looks transposed, and it would then confuse alpha with sensor gains",
+        "store the force of actuator i per displacement of sensor j as element [i, j]",
     ),
     Code.SHARED_NOISE: _doubtful(
-        "the readings of many actuators have common noise, and it assumes independent noise",
-        "look for what pushes the mirror",
+        "the readings of many actuators have common noise, but it assumes independent noise",
+        "find what moves the mirror",
     ),
     Code.UNTESTED_SIZE: _doubtful(
-        "its errors were never compared with a truth of {count:count actuator}: noise in forces may"
-        " make them too small",
+        "its errors were not validated for {count:count actuator}: force noise may make them too"
+        " small",
         "compare two campaigns",
     ),
     Code.EQUATIONS_MISFIT: _doubtful(
-        "its fit leaves {factor:.2g} times the noise of {block}", _GIVE_MIRROR
+        "the residual of its fit is {factor:.2g} times the noise of {block}", _GIVE_MIRROR
     ),
     Code.HELD_OUT_WORSE: _doubtful(
-        "reciprocity leaves held-out modes unbalanced by {held_out:percent} of their force, the"
-        " balance alone by {by_balance:percent}",
+        "held-out modes are unbalanced by {held_out:percent} of their force with reciprocity, and"
+        " by {by_balance:percent} with the balance alone",
         _GIVE_MIRROR,
     ),
     Code.ESTIMATES_APART: _doubtful(
@@ -450,15 +446,15 @@ ENTRIES: dict[Code, Entry] = {
         _GIVE_MIRROR,
     ),
     Code.SENSORS_FAR: _doubtful(
-        "the sensors would have to be {offset:.2g} mm off their magnets", _GIVE_MIRROR
+        "the sensors would have to be {offset:.2g} mm from their magnets", _GIVE_MIRROR
     ),
     Code.PLANNED_WEAK_PATTERNS: _usable(
-        "{count:count pattern} of alpha hardly above the noise", _MORE_SIGNAL
+        "{count:count pattern} of alpha will be hardly above the noise", _MORE_SIGNAL
     ),
     Code.PLANNED_REFUSAL: _fact(
         Level.NONE,
-        "{count:count pattern} of alpha hardly above the noise, so many that the campaign will be"
-        " refused",
+        "{count:count pattern} of alpha will be hardly above the noise, so `calibrate` will refuse"
+        " the campaign",
         _MORE_SIGNAL,
     ),
     Code.PLANNED_FORCE_TOO_LARGE: _rejected(
@@ -469,12 +465,12 @@ ENTRIES: dict[Code, Entry] = {
     Code.EARLIER_FINDING: _fact(None, "the earlier calibration: {cause}", "{advice}"),
     Code.RECALIBRATION_LIMIT: _usable("{limit}"),
     Code.LAW_OF_REJECTED_DAY: _rejected(
-        "it rests on {day}, whose calibration is rejected", "track the other days"
+        "the law uses {day}, whose calibration is rejected", "track the other days"
     ),
     Code.PAIR_PATTERN: _fact(
         Level.DOUBTFUL,
-        "what factors of actuators and sensors leave is not noise: its largest pattern is"
-        " {pattern:.2f} times as large as noise makes it",
+        "the change is not only factors of actuators and sensors: the largest other pattern is"
+        " {pattern:.2f} times its expected noise",
         "check whether rigid-body modes or stiff modes were removed from one matrix, and whether"
         " the mirror, its gap or its temperature differed",
     ),
@@ -512,6 +508,14 @@ _PLAIN = {
 }
 _EARLIER = {
     "exchanged columns": (Code.EXCHANGED_COLUMNS, "FORCE"),
+    "load put on anew by file": (Code.LOAD_REPOSITIONED, ""),
+    "actuator stands elsewhere than at its X and Y": (Code.MISPLACED_ACTUATOR, ""),
+    "STIFFNESS already balanced as commanded: alpha is gone (cleaned of rigid motions?)": (
+        Code.CLEANED_STIFFNESS,
+        "",
+    ),
+    "STIFFNESS symmetric and balanced as commanded: a true one, or alpha is gone (cleaned of rigid"
+    " motions?)": (Code.TRUE_STIFFNESS, ""),
     "the file's load is another": (Code.OTHER_LOAD, ""),
     "STIFFNESS made symmetric": (Code.SYMMETRISED_STIFFNESS, ""),
 }

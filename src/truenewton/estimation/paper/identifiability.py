@@ -175,7 +175,7 @@ def geometry_fault(a: Array) -> Fault | None:
     n = a.shape[1]
     if n < 4:
         return Fault(
-            f"only {counted(n, 'actuator')} enabled", "three hold the mirror; enable four at least"
+            f"only {counted(n, 'actuator')} enabled", "enable at least four: three only fix tilts"
         )
     x, y = a[1], a[2]
     values = np.linalg.svd(np.stack([x - x.mean(), y - y.mean()]), compute_uv=False)
@@ -188,7 +188,7 @@ def geometry_fault(a: Array) -> Fault | None:
     # the constants that happens on certain conics only.
     if _all_on_a_conic(np.linalg.qr(a.T)[0]):
         return Fault(
-            "the actuators stand on a conic on which balance leaves alpha free",
+            "the actuators are on a conic, on which balance does not determine alpha",
             "add an actuator off it",
         )
     return None

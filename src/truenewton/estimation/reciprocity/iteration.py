@@ -164,7 +164,7 @@ def _covariance(
         if single:
             return _covariance(point, asked, known, before, single=False)
         raise RankDeficient(
-            "reciprocity does not hold all that is asked of it",
+            "reciprocity does not determine all unknowns",
             remedy="give the sensor gains",
         ) from None
     for k in range(2 if np.isinf(asked.gain_spread) else 1):  # what holds the scale is no knowledge

@@ -157,7 +157,7 @@ def refuse_unheld(square: Array) -> None:
     missing = int(np.count_nonzero(amplitude <= MIN_AMPLITUDE * amplitude[-1]))
     if missing:
         raise RankDeficient(
-            f"no shape holds {missing} of {n} motions of the mirror",
+            f"no shape contains {missing} of {n} motions of the mirror",
             remedy="take shapes that span all stiffness modes and the rigid motions",
         )
 

@@ -309,7 +309,7 @@ def _mislabelled(
         yield Finding(
             code=Code.LOAD_OF_TWO_NAMES,
             where=f"{one} in {named_files(campaign, files)} is as {two} at rest",
-            remedy=f"let LOAD say {two} there, or {one} elsewhere, unless loads were two",
+            remedy=f"for one load, correct LOAD to {two} there, or to {one} elsewhere",
         )
 
 

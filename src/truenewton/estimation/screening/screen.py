@@ -348,8 +348,8 @@ def frozen_sensors(campaign: Campaign) -> Iterator[Finding]:
         files = np.array(pattern)
         where, remedy = "POSITION of {} is the same in all rows", ""
         if files.all():
-            remedy = "have its electronics looked at: it counts as if it did not move, and no"
-            remedy += " stiffness can be had of it"
+            remedy = "check its electronics: it counts as if it did not move, and its stiffness"
+            remedy += " cannot be measured"
         else:
             where += f" of {named_files(campaign, np.flatnonzero(files))}"
         which = (files == still.T).all(axis=1)

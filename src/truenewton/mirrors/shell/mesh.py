@@ -127,7 +127,7 @@ def checked_places(loops: Sequence[Array], x: Array, y: Array, mesh_size: float)
         )
     for one, other in cKDTree(places).query_pairs(closest) if len(places) else ():
         raise GeometryError(
-            f"actuators {one} and {other} stand at one place, or all but",
+            f"actuators {one} and {other} are at the same place, or nearly so",
             remedy="correct the positions, drop one, or take a smaller mesh size",
         )
     return places
@@ -149,7 +149,7 @@ def _check_points(loop: Array, name: str) -> None:
     if length.min() <= 1e-9 * length.max():
         i = int(length.argmin())
         raise GeometryError(
-            f"points {i + 1} and {(i + 1) % len(loop) + 1} of {name} stand at one place",
+            f"points {i + 1} and {(i + 1) % len(loop) + 1} of {name} are at the same place",
             remedy="give every point once; the polygon closes itself",
         )
 

@@ -60,7 +60,7 @@ def condense(compliance: Array, tilts: Array) -> Condensed:
     n = tilts.shape[1]
     if np.linalg.matrix_rank(tilts) < 3:
         raise GeometryError(
-            f"the {n} actuators stand on one line and cannot hold a tilt",
+            f"the {n} actuators are on one line and cannot control a tilt",
             remedy="give at least three that do not",
         )
     basis, triangle = qr(tilts.T)

@@ -470,7 +470,7 @@ def _stiffness_modes(modes: ModalFindings) -> Section:
 
 def _turbulence(base: ModalBase) -> Section:
     caption = "Rms residual wavefront on the actuators after the first N modes of three bases."
-    words = (f"For {turbulence_text(base)}.", f"Between actuators: {fitting_error_text(base)}.")
+    words = (f"For {turbulence_text(base)}.", f"Fitting error: {fitting_error_text(base)}.")
     return Section("turbulence", "Turbulence", words, "modes-residual", caption)
 
 
@@ -481,7 +481,7 @@ def _dissipation(base: ModalBase) -> Section:
         " against the number of modes."
     )
     words = (
-        f"Static force of the actuators: {static_force_text(base)}.",
+        f"Static forces of the actuators: {static_force_text(base)}.",
         "truenewton modes --power W --force N prints the number of modes within a limit.",
     )
     head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",
