@@ -198,7 +198,7 @@ def test_what_no_worker_can_read_is_refused(workers, folder, tmp_path):
         tn.calibrate(tn.read(folder), client=workers)
     cycle = tn.read(folder).cycles[0]
     write_cycle(cycle, tmp_path / "packed.fits.gz")
-    with pytest.raises(FormatError, match=r"packed.fits.gz: is gzipped, .*; write it anew"):
+    with pytest.raises(FormatError, match=r"packed.fits.gz: is gzipped, .*; write it again"):
         tn.read(tmp_path, client=workers)
 
 

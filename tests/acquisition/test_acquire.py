@@ -321,7 +321,7 @@ def test_rows_that_are_not_valid_are_said_with_what_takes_them_again(tmp_path, i
     benches = iter([unsettled, StubBench()])
     monkeypatch.setattr("truenewton.acquisition.acquire.chosen_bench", lambda *_: next(benches))
     monkeypatch.setattr(SimulatedBench, "write_truth", lambda *_, **__: None)
-    said = ", but 1 of 24 rows are not valid (ring-001.fits 1); to take a cycle again remove its"
+    said = ", but 1 of 24 rows are not valid (ring-001.fits 1); to repeat a cycle, remove its"
     for already in ("", " already"):
         code, out, _ = inside("acquire", path, "-o", folder)
         assert code == 0

@@ -89,4 +89,4 @@ def test_excluded_are_kept_and_so_is_an_interrupted_answer(inside, spoilt, tmp_p
     assert np.flatnonzero(~back.layout.enabled).tolist() == BAD.tolist()
     monkeypatch.setattr(reciprocity_of_matrix, "fit_matrix", Mock(side_effect=KeyboardInterrupt))
     out = inside("calibrate", tmp_path / "k.fits", "--exclude", ids)[1]
-    assert re.search(r"\(12 disabled\)(?s:.*)not from reciprocity: it was interrupted", out)
+    assert re.search(r"\(12 disabled\)(?s:.*)not from reciprocity: the fit was interrupted", out)

@@ -172,7 +172,7 @@ def with_held_out(c, before, after):
         (lambda c: with_goodness(with_effect(c, "SIGN reversed"), 9.0), "rejected", "SIGN"),
         (lambda c: with_effect(c, "exchanged columns"), "rejected", "exchanged columns"),
         (lambda c: replace(c, effects=3 * with_effect(c, "stuck reading").effects),
-         "rejected", "3 of 45 actuators are dead, or their readings stuck"),
+         "rejected", "3 of 45 actuators are dead or have stuck readings"),
         (lambda c: with_goodness(c, 2e8), "rejected", "1.4e+04 times the noise"),
         (lambda c: with_goodness(c, 5e3), "doubtful", "was multiplied by 71"),
         (lambda c: replace(c, loads=c.loads[:1], torque_y=c.torque_y[:1], torque_x=c.torque_x[:1]),

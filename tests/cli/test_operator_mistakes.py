@@ -139,7 +139,7 @@ FAULTS = {
     ),
     "poles in one file": (
         changed(poles, ONE), REFUSED, "FORCE of the other sign: actuator 8 in ring 3",
-        "turn the sign",
+        "reverse the sign",
     ),
     "um in one file": (
         changed(lambda c: replace(c, position=3.0 * c.position), ONE),
@@ -147,7 +147,7 @@ FAULTS = {
     ),
     "POSITION not read": (
         changed(lambda c: replace(c, position=0.0 * c.position)),
-        NOT, "POSITION is the same in all rows", "leave the column out",
+        NOT, "POSITION is the same in all rows", "remove the column if",
     ),
     "a sensor frozen in one file": (
         changed(holding(7), ONE),
@@ -181,7 +181,7 @@ FAULTS = {
         one_file_everywhere, REFUSED + NOT, "copy of another file", "restore the original",
     ),
     "a load that was never on": (
-        never_on, NOT + REFUSED, "the forces are the same under all loads", "lay on the mirror",
+        never_on, NOT + REFUSED, "the forces are the same under all loads", "was on the mirror",
     ),
     "a date of next century": (
         changed(dated, ONE), LIMITED, "DATE-OBS of ring 3 is 13149 days from that of the other",

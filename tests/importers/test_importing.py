@@ -407,7 +407,7 @@ def scrambled():
         ({"matrix": 1e-6 * CASE.k}, "no unit, .* is implausible; give it by --unit .*, as N/um"),
         ({"matrix": CASE.k * u.N}, "unit of the matrix is 'N'; give one as N/um"),
         ({"matrix": CASE.k[:, 1:]}, "contains no square matrix"),
-        ({"matrix": 1j * CASE.k}, "holds no real numbers"),
+        ({"matrix": 1j * CASE.k}, "contains no real numbers"),
         ({"matrix": np.where(np.eye(N, k=5), np.nan, CASE.k)}, "elements are NaN or infinite"),
         ({"matrix": np.triu(CASE.k)}, "zero below its diagonal: half of it is not there; store"),
         ({"matrix": np.clip(CASE.k, -1e5, 1e5)}, "45 own elements of STIFFNESS are the same"),

@@ -107,7 +107,7 @@ def test_a_table_with_units_and_names(mine):
         ("weight = -1.0", "weight = ", UnreadableFile, "is not TOML"),
         ("thickness = 1.6e-3", "thickness = 0", GeometryError, "thickness is 0 m"),
         ("thickness = 1.6e-3", "thickness = 1.6", GeometryError, "metres: 1.6 mm are 1.6e-3"),
-        ("inner_radius = 0.02", "inner_radius = 0.06", GeometryError, "actuator 1 stands 0.05 m"),
+        ("inner_radius = 0.02", "inner_radius = 0.06", GeometryError, "actuator 1 is 0.05 m"),
         ("thickness", "radius_of_curvature = -0.05\nthickness", GeometryError, "cannot carry"),
         ("[shell]", "alpha_range = [0.1]\n[shell]", FormatError, "give 2 values"),
         ("[shell]", "[sensor]\nouter_radius = 0.001\n[shell]", GeometryError, "a sensor from"),
@@ -132,7 +132,7 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(mine, old, new, error, sa
     [
         ("0.05,0.0\n", "\nO.05,0.0\n", "actuators.csv: line 3: X is 'O.05'; give a number"),
         ("0.05,0.0\n", "0.05,\n", "actuators.csv: line 2: Y is empty; give a number"),
-        ("0.05,0.0\n", "0.09,0.0\n", "actuators.csv: actuator 1 stands 0.09 m from the axis"),
+        ("0.05,0.0\n", "0.09,0.0\n", "actuators.csv: actuator 1 is 0.09 m from the axis"),
         ("X,Y", "X;Y", "it has 'X;Y'; name the columns X and Y in the first line, in metres"),
     ],
 )

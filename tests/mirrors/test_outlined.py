@@ -243,7 +243,7 @@ def test_tables_that_are_no_outline(corner, table, said):
         ("inner_radius = 0.01", "inner_radius = 0.12", "the weight tool, 0.1215 m from"),
         ("outer_radius = 0.16", "outer_radius = 0.1", "the outline reaches 0.14"),
         ("mesh_size = 0.025", "mesh_size = 0.0", "mesh size 0 m"),
-        ("[0.12, -0.08], ", "[0.11, -0.08], ", "actuator 4 stands 0.1167 m"),
+        ("[0.12, -0.08], ", "[0.11, -0.08], ", "actuator 4 is 0.1167 m"),
     ],
 )
 def test_outlines_that_cannot_be(corner, old, new, said):

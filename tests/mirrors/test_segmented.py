@@ -180,7 +180,7 @@ def test_a_plan_of_segments_is_that_of_the_worst(inside, tiny):
     assert said["tiny"]["instrument"] == f"TINY segment {which}, the worst of 2 that differ"
     code, _, error = inside("acquire", path, "-o", tiny.with_name("c"))
     assert code == 2
-    assert "is a mirror in segments; simulate, plan and --mirror take it, acquire" in error
+    assert "is a mirror in segments; give the file of one segment" in error
 
 
 def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):

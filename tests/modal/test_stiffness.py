@@ -192,10 +192,10 @@ def test_elastic_motions_that_no_shape_holds_are_refused():
 def test_without_readings_there_is_no_stiffness():
     bench, campaign = quiet()
     without = tuple(replace(c, position=None) for c in campaign.cycles)
-    with pytest.raises(RankDeficient, match="no cycle holds POSITION"):
+    with pytest.raises(RankDeficient, match="no cycle contains POSITION"):
         measured_stiffness(Campaign(without))
     zeros = with_readings(campaign.cycles, np.zeros((90, 45)))
-    with pytest.raises(RankDeficient, match="no cycle holds POSITION"):
+    with pytest.raises(RankDeficient, match="no cycle contains POSITION"):
         measured_stiffness(zeros)
     one = measured_stiffness(Campaign((campaign.cycles[0], without[1])))
     assert one.shapes == 45
@@ -495,7 +495,7 @@ def test_what_cannot_be_is_refused():
         (UnknownName, "ID 0 that is to be slaved; IDs go from", matrix, None, {"slaved": (0,)}),
         (UnknownName, "4 is both off and slaved", matrix, None, {"off": (3, 4), "slaved": (4, 5)}),
         (RankDeficient, "only 3 actuators of 45 left", matrix, None, {"off": range(1, 43)}),
-        (RankDeficient, "2 actuators switched off, not held", loose, None, {"off": (1, 2)}),
+        (RankDeficient, "2 actuators switched off, not stabilised", loose, None, {"off": (1, 2)}),
         (CampaignMismatch, "of P36", replace(matrix, instrument="P36"), calibration, {}),
         (CampaignMismatch, "disagree on X of actuator 1", moved, calibration, {}),
         (CampaignMismatch, "no alpha for actuator 7", matrix, fewer, {}),

@@ -148,7 +148,7 @@ def test_a_calibration_file_is_as_the_contract_says_and_read_as_written(p45_fold
         assert set(hdus[0].header) - structure == {
             "INSTRUME", "DATE-OBS", "DATE-END", "TEMPERAT", "WEIGHT", "E_WEIGHT", "BIAS", "E_BIAS",
             "METHOD", "SCALE", "NSHAPES", "NREJECT", "NINVALID", "CONDITIO", "SOLVCOND", "RANK",
-            "NOISE", "VERDICT",
+            "UNIQUE", "NOISE", "VERDICT",
         }  # fmt: skip
         assert hdus[0].header["DATE-OBS"] == "2026-01-01T09:00:00.000"
         assert hdus[0].header["TEMPERAT"] == 20.0

@@ -91,7 +91,7 @@ def test_a_stiffness_file_has_modes_for_rows_but_no_weight(matrix, by_matrix):
     base = find_modes(matrix, by_matrix.calibration, **PUPIL).after
     check_table(parts["dissipation"].tables[0], base.costs[0], base.costs[1:])
     assert not any("Measured stiffness" in words for words in parts["modes"].words)
-    assert "unknown" in parts["dissipation"].words[0]
+    assert "assumed 0" in parts["dissipation"].words[0]
     text = page(by_matrix)
     for title in ("Residuals by mode", "Stiffness modes", "Turbulence", "Dissipation"):
         assert title in text
@@ -142,7 +142,7 @@ def test_what_the_data_lack_for_modes_is_said(p45_findings, monkeypatch):
     assert list(parts) == ["modes"]
     assert parts["modes"].figure == ""
     [words] = parts["modes"].words
-    assert words.startswith("The data do not determine them: no cycle holds POSITION")
+    assert words.startswith("The data do not determine them: no cycle contains POSITION")
     assert "give a measured stiffness file." in words
     motion = p45_findings.modes.after.modes.modes[:, 6]
 

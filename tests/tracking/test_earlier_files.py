@@ -83,8 +83,8 @@ CALIBRATIONS = [
 LAWS = [
     (put("TRACKING", "ALPHA", np.nan, slice(None)), "ALPHA"),
     (put("TRACKING", "ALPHA", 5e-324), "ALPHA"),
-    (put("TRACKING", "K", np.inf), "K holds no usable"),
-    (put("TRACKING", "DRIFT", np.nan), "DRIFT holds no usable"),
+    (put("TRACKING", "K", np.inf), "K contains no usable"),
+    (put("TRACKING", "DRIFT", np.nan), "DRIFT contains no usable"),
     (without_temperature, "TEMPERAT is missing"),
     (put("DAYS", "TEMPERATURE", np.nan, 1), "TEMPERATURE of DAYS"),
     (put("DAYS", "DATE", "yesterday"), "DATE in DAYS"),

@@ -109,7 +109,7 @@ class Layout:
                "give standard uncertainties in m")
               for name, error in errors.items() if error is not None),
             ((far == far.max()) & (far > MAX_DISTANCE),
-             f"actuator {{}} stands {far.max():.3g} m from the axis",
+             f"actuator {{}} is {far.max():.3g} m from the axis",
              "X and Y are metres; check their unit"),
             ((self.nz > 1.0) | (self.nz < 0.01), "NZ lies outside 0.01 to 1",
              "NZ is the cosine between the force and +z"),

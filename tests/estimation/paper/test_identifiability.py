@@ -75,5 +75,5 @@ def test_a_line_and_one_beside_it_are_a_conic_that_leaves_alpha_free():
     y = np.array([-1.0, 0.0, 1.0, 0.5])
     x = np.array([0.0, 0.0, 0.0, 1.0])
     a = np.array([np.ones(4), x, y])
-    assert geometry_fault(a).fault.startswith("the actuators stand on a conic")
+    assert geometry_fault(a).fault.startswith("the actuators are on a conic")
     assert geometry_fault(np.array([np.ones(14), LAYOUT.x, LAYOUT.y])) is None

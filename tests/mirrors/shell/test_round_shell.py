@@ -357,7 +357,7 @@ def test_points_beside_the_sphere_are_refused():
         (FLAT, *circle(125e-3, 9), "on an edge"),
         (FLAT, *circle(20.01e-3, 9), "on an edge"),
         (FLAT, np.linspace(0.03, 0.1, 9), np.linspace(0.02, 0.06, 9), "on one line"),
-        (FLAT, X[:2], Y[:2], "2 actuators stand on one line"),
+        (FLAT, X[:2], Y[:2], "2 actuators are on one line"),
     ],
 )
 def test_bad_geometry_is_refused(shell, x, y, fault):
