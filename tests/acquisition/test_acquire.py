@@ -328,7 +328,7 @@ def test_rows_that_are_not_valid_are_said_with_what_takes_them_again(tmp_path, i
         assert f"c: complete{already}, 2 loads x 2 cycles{said}" in out
     (folder / "ring-001.fits").unlink()
     code, out, _ = inside("acquire", path, "-o", folder)
-    assert (code, out.splitlines()[-1]) == (0, f"{folder}: complete, 2 loads x 2 cycles")
+    assert (code, out.splitlines()[-2]) == (0, f"{folder}: complete, 2 loads x 2 cycles")
 
 
 def test_a_cycle_without_one_sound_reading_is_not_written(tmp_path):
