@@ -34,7 +34,6 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 from numpy.typing import NDArray
-from scipy.sparse.linalg import LinearOperator, cg
 
 from truenewton import linalg
 from truenewton.arrays import Array
@@ -51,7 +50,13 @@ MAX_LEVERAGE = 0.9  # of an element, in the correction of its residual
 # log of B t^2 / A for a typical element: from constant to proportional noise, and its step
 MIX_RANGE, MIX_STEP = (-10.0, 12.0), 2.0
 MIX_TOLERANCE = 0.2
-MAX_CHANGED_COUPLINGS = 0.01  # of all elements; with more, the noise law is wrong instead
+# of all elements, and not more than actuators; with more, the noise law is wrong instead
+MAX_CHANGED_COUPLINGS = 0.01
+GROSS_CHANGE = 2.5  # of the limit of a coupling: it would spoil the fit of other noise laws
+MAX_NAMING_PASSES = 10
+
+
+Couplings = NDArray[np.int64]  # (k, 2) rows and columns of elements
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +110,16 @@ class ElementNoise:
         v = product_variances(square, 1.0 + np.exp(log_mix) * power) * self.inflation
         return replace(self, variance=v, log_mix=log_mix)
 
-    def equations(self, u: Array, t: Array) -> tuple[Array, Array]:
-        """Return the (2n,) score and the (2n, 2n) information of a and b."""
+    def unchanged(self, u: Array, couplings: Couplings) -> Array:
+        """Return (n, n) u with what the others predict in place of changed couplings, 0."""
+        u = u.copy()
+        u[tuple(couplings.T)] = 0.0
+        return u
+
+    def equations(self, u: Array, t: Array, couplings: Couplings) -> tuple[Array, Array]:
+        """Return the (2n,) score and the (2n, 2n) information of a and b without couplings."""
         score, weight = u * t / self.variance, t**2 / self.variance
+        weight[tuple(couplings.T)] = 0.0
         information = np.block(
             [[np.diag(weight.sum(axis=1)), weight], [weight.T, np.diag(weight.sum(axis=0))]]
         )
@@ -190,14 +202,31 @@ class ModeNoise:
         )
         return left, right
 
-    def equations(self, u: Array, t: Array) -> tuple[Array, Array]:
-        """Return the (2n,) score and the (2n, 2n) information of a and b."""
+    def _between(self, couplings: Couplings) -> Array:
+        """Return the (k, k) inverse covariance of elements of u given all others."""
+        (left, right), (i, j) = self._inverses, couplings.T
+        return np.asarray(left[np.ix_(i, i)] * right[np.ix_(j, j)])
+
+    def unchanged(self, u: Array, couplings: Couplings) -> Array:
+        """Return (n, n) u with what the others predict in place of changed couplings."""
+        (left, right), (i, j) = self._inverses, couplings.T
+        u = u.copy()
+        pulls = np.einsum("km,km->k", left[i] @ u, right[j])
+        u[i, j] -= np.linalg.solve(self._between(couplings), pulls)
+        return u
+
+    def equations(self, u: Array, t: Array, couplings: Couplings) -> tuple[Array, Array]:
+        """Return the (2n,) score and the (2n, 2n) information of a and b without couplings."""
         left, right = self._inverses
         left_t, t_right = left @ t, t @ right
         weight, score = left_t * t_right, t * (left @ u @ right)
         information = np.block(
             [[left * (t_right @ t.T), weight], [weight.T, right * (t.T @ left_t)]]
         )
+        if len(couplings):
+            i, j = couplings.T
+            pulls = np.concatenate([left[:, i] * t_right[:, j], left_t[i].T * right[:, j]])
+            information -= pulls @ np.linalg.solve(self._between(couplings), pulls.T)
         return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
 
     def with_leverage(self, t: Array, covariance: Array) -> ModeNoise:
@@ -307,11 +336,18 @@ class PairFit:
     noise: Noise
     residual: Array
     unchanged: Array
-    couplings: NDArray[np.int64]
+    couplings: Couplings
     coupling_sizes: Array
     cost: float
     size: float
     converged: bool
+
+    def deviating(self, limit: float) -> Couplings:
+        """Return the elements that deviate from the prediction of the others by a limit."""
+        sizes, errors = self.noise.innovations(self.unchanged)
+        sizes = sizes.copy()
+        sizes[tuple(self.couplings.T)] = self.coupling_sizes
+        return np.argwhere(np.abs(sizes) > limit * errors)
 
 
 def fit_pair(
@@ -332,18 +368,27 @@ def fit_pair(
     noise
         The law with its variances, if they are known.
     """
-    none = np.zeros((0, 2), dtype=np.int64)
     laws, fixed = ([noise], True) if noise else (_laws(one, inflation, covariance), False)
-    fits = [_iterated(law, one, other, none, fixed=fixed) for law in laws]
+    limit = normal_isf(FALSE_ALARM / 4 / one.size)
+    most = min(MAX_CHANGED_COUPLINGS * one.size, len(one))
+    start, signs = rough_factors(one, other)
+    other = other * signs[0][:, None] * signs[1]
+    couplings = np.zeros((0, 2), dtype=np.int64)
+    fits: list[PairFit] = []
+    for law in laws:
+        fit = _iterated(law, one, other, start, couplings, fixed=fixed)
+        # Large changes would spoil the fits of the other laws.
+        if not fits and 0 < len(gross := fit.deviating(GROSS_CHANGE * limit)) <= most:
+            fit = _iterated(fit.noise, one, other, start, gross, fixed=fixed)
+            couplings, start = gross, np.array([fit.a, fit.b])
+        fits.append(fit)
     fit = min(fits, key=lambda fit: fit.cost)
-    while True:
-        sizes, errors = fit.noise.innovations(fit.unchanged)
-        far = np.abs(sizes) > errors * normal_isf(FALSE_ALARM / 4 / one.size)
-        far[tuple(fit.couplings.T)] = False
-        couplings = np.concatenate([fit.couplings, np.argwhere(far)])
-        if not far.any() or len(couplings) > MAX_CHANGED_COUPLINGS * one.size:
-            return fit
-        fit = _iterated(fit.noise, one, other, couplings, fixed=fixed)
+    for _ in range(MAX_NAMING_PASSES):
+        now = fit.deviating(limit)
+        if np.array_equal(now, fit.couplings) or len(now) > most:
+            break
+        fit = _iterated(fit.noise, one, other, np.array([fit.a, fit.b]), now, fixed=fixed)
+    return replace(fit, signs=signs)
 
 
 def _laws(one: Array, inflation: Array, covariance: Array) -> list[Noise]:
@@ -357,25 +402,6 @@ def _laws(one: Array, inflation: Array, covariance: Array) -> list[Noise]:
         values, vectors = np.linalg.eigh(covariance)
         laws.append(ModeNoise.start("shapes", left, vectors, np.sqrt(np.maximum(values, 0.0))))
     return laws
-
-
-def _unchanged(noise: Noise, u: Array, couplings: NDArray[np.int64]) -> Array:
-    """Return residuals with what the others predict in place of changed couplings."""
-    at, none = tuple(couplings.T), np.zeros_like(u)
-    if not len(couplings):
-        return u
-    sizes, errors = (each[at] for each in noise.innovations(u))
-
-    def product(sigmas: Array) -> Array:
-        """Return the correlations of changed couplings, which predict each other, times sigmas."""
-        changed = none.copy()
-        changed[at] = sigmas * errors
-        return np.asarray(noise.innovations(changed)[0][at] / errors)
-
-    correlations = LinearOperator((len(couplings),) * 2, matvec=product, dtype=float)
-    u = u.copy()
-    u[at] -= errors * cg(correlations, sizes / errors, maxiter=MAX_PREDICTION_STEPS)[0]
-    return u
 
 
 def rough_factors(one: Array, other: Array) -> tuple[Array, Array]:
@@ -392,19 +418,19 @@ def rough_factors(one: Array, other: Array) -> tuple[Array, Array]:
 
 
 def _iterated(
-    noise: Noise, one: Array, other: Array, couplings: NDArray[np.int64], *, fixed: bool
+    noise: Noise, one: Array, other: Array, start: Array, couplings: Couplings, *, fixed: bool
 ) -> PairFit:
     """Return the fit by Newton's method; a law that is not fixed follows the first residuals."""
     n = len(one)
-    (a, b), signs = rough_factors(one, other)
-    other = other * signs[0][:, None] * signs[1]
+    a, b = start
     converged = False
     for step in range(MAX_STEPS):
-        scaled = other / np.exp(a[:, None] + b)
-        residual, t = scaled - one, 0.5 * (one + scaled)
+        residual = other / np.exp(a[:, None] + b) - one
+        u = noise.unchanged(residual, couplings) if len(couplings) else residual
+        t = one + 0.5 * u
         if step < LAW_STEPS and not fixed:
-            noise = noise.refitted(_unchanged(noise, residual, couplings), t)
-        score, information = noise.equations(_unchanged(noise, residual, couplings), t)
+            noise = noise.refitted(u, t)
+        score, information = noise.equations(u, t, couplings)
         covariance, logarithm = _pseudo_inverse(information)
         noise = noise.with_leverage(t, covariance)
         if converged:
@@ -413,18 +439,17 @@ def _iterated(
         a, b = a + change[:n], b + change[n:]
         errors = np.sqrt(np.diag(covariance))
         converged = step >= 2 and bool((np.abs(change) < STEP_TOLERANCE * errors).all())
-    unchanged, changed = _unchanged(noise, residual, couplings), tuple(couplings.T)
     return PairFit(
         a=a,
         b=b,
-        signs=signs,
+        signs=np.ones((2, n)),
         covariance=covariance,
         noise=noise,
         residual=residual,
-        unchanged=unchanged,
+        unchanged=u,
         couplings=couplings,
-        cost=noise.cost(unchanged) + logarithm,
-        coupling_sizes=(residual - unchanged)[changed],
+        cost=noise.cost(u) + logarithm,
+        coupling_sizes=(residual - u)[tuple(couplings.T)],
         size=float(np.sqrt((one**2).mean())),
         converged=converged,
     )
