@@ -250,7 +250,7 @@ def _comparisons() -> list[dict[str, Schema]]:
         {
             **_of(Comparison, "instrument", "common", "common_error", "alpha_scatter"),
             **_of(Comparison, "sensor_scatter", "noise_law", "relative_noise", "pattern"),
-            **_of(Comparison, "tails", "excess"),
+            **_of(Comparison, "tails", "resemblance", "excess"),
             "actuators": _columns(CHANGES),
             "couplings": _list(_object(coupling)),
             **_of_type(Matching)["properties"],
