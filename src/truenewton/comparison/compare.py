@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, overload
 
 import numpy as np
@@ -178,17 +178,17 @@ def _comparison(
     for k, (name, part, own) in enumerate(
         (("alpha", fit.a, fit.covariance[:n, :n]), ("sensor", fit.b, fit.covariance[n:, n:]))
     ):
-        found = _changed(part, fit.signs[k], own, alarm)
-        unchanged &= ~found.changed
-        means.append(~found.changed / np.count_nonzero(~found.changed))
+        changed, scatter = _changed(part, fit.signs[k], own, alarm)
+        unchanged &= ~changed
+        means.append(~changed / np.count_nonzero(~changed))
         about = np.eye(n) - means[k]
         ratio = fit.signs[k] * np.exp(-about @ part)
         error = np.abs(ratio) * np.sqrt(np.diag(about @ own @ about.T))
         arrays |= {
             f"{name}_ratio": spread(ratio, on),
             f"{name}_ratio_error": spread(error, on),
-            f"{name}_changed": spread(found.changed.astype(float), on) == 1.0,
-            f"{name}_scatter": found.scatter,
+            f"{name}_changed": spread(changed.astype(float), on) == 1.0,
+            f"{name}_scatter": scatter,
         }
     mean = np.concatenate(means)
     common = float(np.exp(-mean @ np.concatenate([fit.a, fit.b])))
@@ -254,16 +254,10 @@ def _resemblance(fit: PairFit, unchanged: NDArray[np.bool_]) -> float:
     return float((logs[0] @ logs[1] - np.trace(both)) / np.sqrt(variance))
 
 
-@dataclass(frozen=True)
-class Deviations:
-    """Which of n values deviate from the others, and the scatter of these beyond the errors."""
-
-    changed: NDArray[np.bool_]
-    scatter: float
-
-
-def _changed(values: Array, signs: Array, covariance: Array, alarm: float) -> Deviations:
-    """Return which (n,) logarithms of factors deviate from the population of the others."""
+def _changed(
+    values: Array, signs: Array, covariance: Array, alarm: float
+) -> tuple[NDArray[np.bool_], float]:
+    """Return which (n,) logarithms of factors deviate from the others, and the others' scatter."""
     n = len(values)
     variance = np.diag(covariance) - 2.0 * covariance.mean(axis=0) + covariance.mean()
     usual = np.sign(np.median(signs))
@@ -284,7 +278,7 @@ def _changed(values: Array, signs: Array, covariance: Array, alarm: float) -> De
             break
         changed = now
     excess = float(values[~changed].var(ddof=1) - variance[~changed].mean())
-    return Deviations(np.asarray(changed), math.sqrt(max(0.0, excess)))
+    return np.asarray(changed), math.sqrt(max(0.0, excess))
 
 
 def _refuse_processed(pair: Pair) -> None:
