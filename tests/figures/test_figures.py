@@ -110,7 +110,7 @@ def test_outliers_of_a_large_mirror_are_named_beside_its_map_and_rings_are_ticks
     layer = Layer("alpha", "alpha", "N/N", values, "", centre=1.0)
     ax = layer.plot(large)
     assert {"17", "201"} == {text.get_text() for text in ax.texts if text.get_color() == ALARM}
-    assert "beyond the ends" in ax.figure.axes[1].get_xlabel()
+    assert "Beyond the ends: " in ax.figure.axes[1].get_xlabel()
     ax = Figure().add_subplot()
     mark_rings(ax, large)
     assert [text.get_text() for text in ax.get_xticklabels()] == [str(k) for k in range(1, 11)]

@@ -108,7 +108,7 @@ def test_the_actuator_under_the_pointer_is_told_in_full(browser, pages, p45_find
     assert "actuator17" in told.replace(": ", "").replace(" ", "")
     assert f"{c.alpha[16]:.3f}"[:4] in told
     assert f"{c.error[16]:.4f}"[:4] in told
-    for name in ("ring", "x, y", "alpha", "statistical (E_STAT)", "leverage", "residual"):
+    for name in ("ring", "x, y", "alpha", "statistical σ_stat (E_STAT)", "leverage", "residual"):
         assert name in told, name
     panel = browser.js("return document.getElementById('detail').textContent")
     assert "actuator17" in panel
@@ -141,7 +141,7 @@ def test_the_layers_colour_the_map(browser, pages, p45_findings):
     names = browser.js(
         "return [...document.querySelectorAll('#layers label')].map((l) => l.textContent.trim())"
     )
-    assert {"alpha", "statistical (E_STAT)", "leverage", "residual"} <= set(names)
+    assert {"alpha", "statistical σ_stat (E_STAT)", "leverage", "residual / noise"} <= set(names)
     seen = set()
     for k in range(len(names)):
         browser.js("document.querySelectorAll('#layers input')[arguments[0]].click()", k)

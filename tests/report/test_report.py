@@ -21,7 +21,7 @@ from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
 from truenewton.report.findings import investigate
-from truenewton.report.page.page import page
+from truenewton.report.page.page import page, what_to_look_at, worst_residuals
 from truenewton.report.verdict import headline_of
 from truenewton.statics.arms import external_load
 
@@ -214,14 +214,34 @@ def test_the_page_holds_all_it_needs(p45):
         assert attributes.get("xlink:href", "#").startswith(("#", "data:image/png;")), tag
     text = "".join(reader.text)
     text = text[text.index("Usable") :]  # after the contents
-    parts = ("Usable", "What to do", "Map of the mirror", "Alpha by ring", "Error budget",
-             "Residuals by shape and cycle", "Singular values", "The balance before and after",
+    parts = ("Usable", "What to do", "Map of the mirror", "What to look at", "Alpha by ring",
+             "Error budget", "Residuals by shape and cycle", "Singular values",
+             "The balance before and after",
              "Stiffness modes", "Turbulence", "Dissipation", "Temperatures and times",
              "Command to reproduce this page")  # fmt: skip
     places = [text.find(words) for words in parts]
     assert min(places) >= 0, parts[np.argmin(places)]
     assert places == sorted(places)
     assert "truenewton report p45 -o r.html" in text
+
+
+def test_worst_residuals_and_bad_actuators_are_listed_with_their_ids(p45):
+    alpha = p45.calibration.alpha.copy()
+    alpha[16] = 0.01
+    found = tn.Finding(code=tn.Code.ALPHA_ZERO, actuators=(17,))
+    c = replace(p45.calibration, alpha=alpha, effects=(found,))
+    layers = layers_of(c, p45.evidence)
+    look = what_to_look_at(c, layers, worst_residuals(replace(p45, calibration=c)))
+    rows = {what: where for what, where, _ in look.tables[0].rows}
+    residuals = p45.evidence.residuals
+    worst = int(np.argmax(residuals.after))
+    place = f"shape {residuals.signed_shape[worst]} of cycle {residuals.cycle[worst] + 1} "
+    assert rows["rows least in balance"].startswith(place)
+    assert rows["outliers: alpha"].startswith("17 (")
+    assert rows["named in findings"] == "17 (1.0)"
+    disabled = investigate(report_data.fine(disabled=(4,))).calibration
+    look = what_to_look_at(disabled, layers_of(disabled), ())
+    assert look.tables[0].rows[0][:2] == ("disabled actuators", "5")
 
 
 def test_a_page_of_a_large_mirror_is_little_longer_than_bokeh():

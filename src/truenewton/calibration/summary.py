@@ -19,7 +19,6 @@ from truenewton.estimation.findings.estimate import (
     RejectedRow,
     Scale,
     scale_budget,
-    scale_total,
     typical,
 )
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
@@ -293,19 +292,3 @@ def rejected_values(campaign: Campaign, rejected: Sequence[RejectedRow]) -> list
         | attributes(row, "actuator", "sigmas", "against")
         for row in sorted(rejected, key=lambda row: -row.sigmas)
     ]
-
-
-def error_budget(c: Calibration) -> dict[str, float]:
-    """Return relative standard uncertainties of alpha by name; none if the scale is free."""
-    if c.scale == Scale.MEAN_ONE:
-        return {}
-    parts = {
-        "typical actuator, all": typical(c.error, c.alpha),
-        "typical actuator, statistical": typical(c.statistical_error, c.alpha),
-        "typical actuator, scale": typical(c.systematic_error, c.alpha),
-    }
-    if c.scale_errors:
-        parts["common scale, all"] = scale_total(c.scale_errors)
-        for what, part in scale_budget(c.scale_errors).items():
-            parts[f"common scale, {what}"] = part
-    return parts

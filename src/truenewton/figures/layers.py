@@ -100,13 +100,13 @@ class Layer:
 
     def colour_note(self, low: float, high: float) -> str:
         """Return what the colours between two ends do not show: their centre, what is beyond."""
-        notes = [f"white: {significant(self.centre, 3)}"] if self.diverging else []
+        notes = [f"White: {significant(self.centre, 3)}."] if self.diverging else []
         with np.errstate(invalid="ignore"):
             beyond = int(((self.values < low) | (self.values > high)).sum())
         if beyond:
             share = percent(beyond / np.isfinite(self.values).sum())
-            notes.append(f"{beyond} ({share}) beyond the ends")
-        return "; ".join(notes)
+            notes.append(f"Beyond the ends: {beyond} ({share}).")
+        return " ".join(notes)
 
     def plot(
         self,

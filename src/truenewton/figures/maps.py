@@ -140,10 +140,11 @@ def outside_places(layout: Layout, which: NDArray[np.int64]) -> list[tuple[int, 
     least = -np.pi
     for k in np.argsort(angles).tolist():
         from_axis = (angles[k] + np.pi / 4) % (np.pi / 2) - np.pi / 4
-        clear = angles[k] - from_axis + np.copysign(max(abs(from_axis), 0.07), from_axis)
+        text = 0.1 + 0.05 * abs(np.sin(angles[k]))  # angle that a name takes, seen from the centre
+        clear = angles[k] - from_axis + np.copysign(max(abs(from_axis), 0.7 * text), from_axis)
         least = max(least, float(clear))
         places.append((int(which[k]), reach * np.cos(least), reach * np.sin(least)))
-        least += 0.07  # one line of text
+        least += text
     return places
 
 

@@ -78,8 +78,11 @@ def inline_svg(ax: Axes, key: str) -> str:
         FigureCanvasSVG(figure)
         if layout := figure.get_layout_engine():  # savefig would draw all once more for it
             figure.dpi = SVG_DPI
-            layout.execute(figure)
-            figure.set_layout_engine(None)
+            if len(figure.axes) > 1:
+                layout.execute(figure)
+            figure.set_layout_engine("none")
+            if len(figure.axes) == 1:
+                _fill(figure, figure.axes[0])
         figure.savefig(file, format="svg", dpi=PAGE_DPI, metadata=nothing)
     root = ElementTree.fromstring(file.getvalue())
     for element in root.iter():
@@ -99,6 +102,18 @@ def inline_svg(ax: Axes, key: str) -> str:
             root.remove(definitions)
     root.attrib |= {"role": "img", "aria-labelledby": f"caption-{key}"}
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _fill(figure: Figure, ax: Axes) -> None:
+    """Let axes with their labels fill a figure; constrained layout measures them twice as often."""
+    size, around = figure.bbox, ax.get_tightbbox() or figure.bbox
+    left, low, right, high = ax.get_position().extents
+    pad = 3.0  # points
+    left += (pad - around.x0) / size.width
+    low += (pad - around.y0) / size.height
+    right -= (around.x1 - size.width + pad) / size.width
+    high -= (around.y1 - size.height + pad) / size.height
+    ax.set_position((left, low, right - left, high - low))
 
 
 def _marks(artist: Artist) -> float:

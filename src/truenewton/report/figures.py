@@ -150,10 +150,10 @@ def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None
     """Draw the imbalance of shapes or modes with alpha = 1 and with the calibration."""
     with styled_axes(ax, 0.7) as ax:
         if isinstance(residuals, ModeResiduals):
-            x: NDArray[Any] = residuals.stiffness
+            x: NDArray[Any] = residuals.stiffness / 1e3
             before, after = residuals.before, residuals.after
             ax.set_xscale("log")
-            ax.set_xlabel("stiffness of the mode (N/m)")
+            ax.set_xlabel("stiffness of the mode (kN/m)")
             ax.set_ylabel("imbalance / force")
         else:
             x, before, after, name = _by_signed_shape(residuals)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import platform
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -22,10 +22,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import Calibration
+from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.summary import (
     as_sentences,
-    error_budget,
     headline,
     rejected_values,
     summary_rows,
@@ -33,7 +32,8 @@ from truenewton.calibration.summary import (
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.result import Comparison
 from truenewton.comparison.summary import UNDETECTABLE, changed_actuators, figures
-from truenewton.estimation.findings.estimate import typical
+from truenewton.estimation.findings.estimate import Scale, scale_budget, typical
+from truenewton.figures.layers import Layer
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
 from truenewton.modal.figures import chosen_modes
@@ -55,7 +55,13 @@ from truenewton.records.cycle import Source
 from truenewton.records.parts import Parts, by_number
 from truenewton.report.figures import columns_of_shapes, findings_figures
 from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowResiduals
-from truenewton.report.page.views import Actuators, calibration_views, change_views, palette
+from truenewton.report.page.views import (
+    Actuators,
+    calibration_views,
+    change_views,
+    palette,
+    shown_outliers,
+)
 from truenewton.report.verdict import Reported, headline_of, of_comparison, of_segments, sources_of
 from truenewton.rounding import counted, percent, significant, with_error
 
@@ -104,6 +110,7 @@ def write_report(
 def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> str:
     """Return the page as HTML; edges of the glass are (vertices, 2) polygons [m]."""
     sections: tuple[Section, ...] = ()
+    look: Section | None = None
     drawn: dict[str, str] = {}
     actuators: Actuators | None = None
     if of_comparison(findings):
@@ -113,6 +120,7 @@ def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> 
     elif of_segments(findings):
         title, heading = f"{findings.instrument}: calibration of its segments", headline(findings)
         actuators, sections = calibration_views(findings, None, edges), segment_sections(findings)
+        look = what_to_look_at(findings, actuators.layers, ())
         tables = [_files(sources_of(findings), "Files")]
     elif isinstance(findings, Change):
         title = f"{findings.one.instrument}: what changed"
@@ -132,12 +140,14 @@ def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> 
         tables = []
         if c is not None:
             heading, actuators = headline(c), calibration_views(c, findings.evidence, edges)
+            look = what_to_look_at(c, actuators.layers, worst_residuals(findings))
             tables = [all_figures(c)]
         sections = (*evidence_sections(findings), *modal_sections(findings), times(findings))
         figures = findings_figures(findings)
         drawn = {part.key: inline_svg(figures[part.figure](), part.key)
                  for part in sections if part.figure}  # fmt: skip
         tables.append(_files(findings.inputs, "Files"))
+    tables += [table for part in sections for table in part.tables if table.wide]
     # Text from files passes through autoescape or JSON.
     environment = Environment(
         loader=PackageLoader("truenewton.report.page"), autoescape=True, undefined=StrictUndefined,
@@ -145,7 +155,9 @@ def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> 
     )  # fmt: skip
     return environment.get_template("page.html.j2").render(
         title=title, heading=heading, verdict=headline_of(findings), actuators=actuators,
-        sections=sections, drawn=drawn, tables=tables, command=command, versions=_versions(),
+        look=look, sections=[part for part in sections if part.shows], drawn=drawn,
+        notes=[words for part in sections if not part.shows for words in part.words],
+        tables=tables, command=command, versions=_versions(),
         bokeh="\n".join(BOKEH.js_raw),
         payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )  # fmt: skip
@@ -209,8 +221,14 @@ def _payload(actuators: Actuators) -> dict[str, Any]:
         "places": [{"docid": "report", "roots": hosts, "root_ids": list(hosts)}],
         "group": actuators.group,
         "layers": [
-            {name: getattr(layer, name) for name in ("key", "name", "unit", "title", "meaning")}
-            | {"low": layer.limits[0], "high": layer.limits[1], "palette": list(palette(layer))}
+            {name: getattr(layer, name) for name in ("key", "name", "unit", "title")}
+            | {
+                "low": layer.limits[0],
+                "high": layer.limits[1],
+                "palette": list(palette(layer)),
+                "meaning": f"{layer.meaning} {layer.colour_note(*layer.limits)}",
+            }
+            | shown_outliers(layer, actuators.layout)
             for layer in actuators.layers
         ],
     }
@@ -230,24 +248,85 @@ class TextTable:
     rows: tuple[tuple[str, ...], ...]
     wraps: bool = False
 
+    @property
+    def wide(self) -> bool:
+        """Whether it needs the full width of the page: it is then at its end."""
+        return len(self.head) > 5
+
 
 @dataclass(frozen=True)
 class Section:
-    """A section: paragraphs, then a figure of `Findings.plot` with its caption, then tables."""
+    """A section: paragraphs, then a figure of `Findings.plot`, then tables.
+
+    The figure has a short caption, and numbers that only screen readers need.
+    """
 
     key: str
     title: str
     words: tuple[str, ...] = ()
     figure: str = ""
     caption: str = ""
+    more: str = ""
     tables: tuple[TextTable, ...] = ()
+
+    @property
+    def shows(self) -> bool:
+        """Whether it has a figure or a table, or is that of a segment; otherwise it is a note."""
+        return bool(self.figure or self.key.startswith("segment")) or not all(
+            table.wide for table in self.tables
+        )
 
 
 NO_DATA = (
-    "This page was made from a calibration file, which does not contain them: give the cycles with"
-    " --calibration."
+    "Residuals, singular values and balance: this page was made from a calibration file, which does"
+    " not contain them: give the cycles with --calibration."
 )
+WORST = 3  # rows and actuators, listed
+LOOKED_AT = ("alpha", "noise", "sensor_gain", "sensor_dx", "sensor_dy", "halves", "findings")
 MAX_REJECTED_ROWS = 50  # in the table
+
+
+def worst_residuals(findings: Findings) -> Iterator[tuple[str, str, str]]:
+    """Yield what is farthest from balance: rows or modes, and actuators."""
+    if findings.evidence is None or findings.calibration is None:
+        return
+    residuals, ids = findings.evidence.residuals, findings.calibration.layout.id
+    if isinstance(residuals, ModeResiduals):
+        worst = np.argsort(-residuals.after)[:WORST]
+        yield ("modes least in balance",
+               ", ".join(f"{stiffness_text(residuals.stiffness[k])} ({percent(residuals.after[k])})"
+                         for k in worst), "Imbalance of a mode per unit of force.")  # fmt: skip
+    else:
+        shape = columns_of_shapes(residuals)[0]
+        worst = np.argsort(-np.where(residuals.kept, residuals.after, 0.0))[:WORST]
+        yield ("rows least in balance",
+               ", ".join(f"shape {shape[k]} of cycle {residuals.cycle[k] + 1}"
+                         f" ({residuals.after[k]:.1f})" for k in worst),
+               f"Imbalance in units of its noise, of {residuals.kept.sum()} rows.")  # fmt: skip
+    size = np.nan_to_num(findings.evidence.actuator_residual)
+    worst = np.argsort(-size)[:WORST]
+    yield ("largest residuals", ", ".join(f"{ids[k]} ({size[k]:.2f})" for k in worst),
+           "Correction of a reading that the imbalance implies, in units of its noise (noise"
+           " alone: 1).")  # fmt: skip
+
+
+def what_to_look_at(
+    c: AnyCalibration, layers: Sequence[Layer], worst: Iterable[tuple[str, str, str]]
+) -> Section | None:
+    """Return the worst residuals, and actuators that are disabled, in findings, or outliers."""
+    ids, rows = c.layout.id, list(worst)
+    if not c.layout.enabled.all():
+        disabled = ", ".join(map(str, ids[~c.layout.enabled]))
+        rows.append(("disabled actuators", disabled, "They have no alpha."))
+    for layer in layers:
+        which = np.flatnonzero(layer.values > 0) if layer.key == "findings" else layer.outliers
+        if layer.key in LOOKED_AT and which.size:
+            values = ", ".join(f"{ids[k]} ({layer.texts[k]})" for k in which)
+            rows.append((layer.name if layer.key == "findings" else f"outliers: {layer.name}",
+                         values, layer.meaning))  # fmt: skip
+    table = TextTable("Worst residuals, and actuators that differ from the others",
+                      ("what", "where (value)", "meaning"), tuple(rows), wraps=True)  # fmt: skip
+    return Section("look", "What to look at", tables=(table,)) if rows else None
 
 
 def evidence_sections(findings: Findings) -> Iterator[Section]:
@@ -268,32 +347,27 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
 
 
 def _budget(c: Calibration) -> Section:
-    """Return the error budget: of the common scale by source, and of a typical actuator."""
-    budget = error_budget(c)
-    if not budget:
+    """Return the error budget of a typical actuator, and of the common scale by source."""
+    if c.scale == Scale.MEAN_ONE:
         words = (
-            "The common scale is a convention (mean alpha 1). The typical error, from the readings,"
-            f" is {percent(typical(c.error, c.alpha))}."
+            "Error budget: the common scale is a convention (mean alpha 1). The typical error, from"
+            f" the readings, is {percent(typical(c.error, c.alpha))}."
         )
         return Section("budget", "Error budget", (words,))
-    parts = "; ".join(f"{name} {percent(size)}" for name, size in budget.items())
-    caption = f"Relative standard uncertainties of alpha: {parts}."
-    if c.unseen:
-        unseen = "; ".join(f"{percent(error.relative)} if {error.name}" for error in c.unseen)
-        caption += f" Undetectable here, and not included: {unseen}."
-    return Section("budget", "Error budget", (), "budget", caption)
+    unseen = tuple(
+        f"Not included, undetectable here: {percent(error.relative)} if {error.name}."
+        for error in c.unseen
+    )
+    rows = ((what, percent(part)) for what, part in scale_budget(c.scale_errors).items())
+    table = TextTable("Sources of the scale error", ("source", "relative error"), tuple(rows))
+    caption = "Of a typical actuator, one sigma."
+    return Section("budget", "Error budget", unseen, "budget", caption, tables=(table,))
 
 
 def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Section:
-    after, kept = residuals.after[residuals.kept], residuals.kept
-    farthest = int(np.argmax(after))
-    shape = columns_of_shapes(residuals)[0][kept][farthest]
-    caption = (
-        f"Imbalance of {counted(after, 'row')} of {counted(campaign.cycles, 'cycle')} in units of"
-        f" its noise, by signed shape and cycle: {_rms(after):.2f} rms (noise alone: 1), largest"
-        f" {after[farthest]:.1f}, at shape {shape} of cycle"
-        f" {residuals.cycle[kept][farthest] + 1}. Crosses: rejected rows."
-    )
+    after = residuals.after[residuals.kept]
+    caption = f"Imbalance of each row, {_rms(after):.2f} rms (noise alone: 1)."
+    more = f"{counted(after, 'row')} of {counted(campaign.cycles, 'cycle')}, by shape and cycle."
     listed = rejected_values(campaign, c.rejected_rows)
     rows = tuple(
         (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
@@ -303,7 +377,8 @@ def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Sectio
     more = f"; the farthest {MAX_REJECTED_ROWS}" if len(listed) > MAX_REJECTED_ROWS else ""
     head = ("file", "row", "sigma", "against", "largest contribution by actuator")
     table = TextTable(f"Rejected rows: {len(listed)}{more}", head, rows)
-    return Section("residuals", "Residuals by shape and cycle", (), "residuals", caption, (table,))
+    return Section("residuals", "Residuals by shape and cycle", (), "residuals", caption, more,
+                   (table,))  # fmt: skip
 
 
 def _rms(values: Array) -> float:
@@ -313,8 +388,8 @@ def _rms(values: Array) -> float:
 def _modes(residuals: ModeResiduals) -> Section:
     before, after = percent(_rms(residuals.before)), percent(_rms(residuals.after))
     caption = (
-        f"Imbalance of {residuals.after.size} elastic modes per unit of force against their"
-        f" stiffness: {before} rms with alpha = 1, {after} calibrated."
+        f"Imbalance of {residuals.after.size} elastic modes: {before} rms with alpha = 1, {after}"
+        " calibrated."
     )
     return Section("residuals", "Residuals by mode", (), "residuals", caption)
 
@@ -323,12 +398,14 @@ def _singular_values(evidence: Evidence) -> Section:
     values = evidence.singular_values
     ratio = float(values[1] / max(values[0], 1e-16 * values[-1]))
     caption = (
-        "Singular values of the balance, ascending. The first (diamond) belongs to alpha itself;"
-        f" the second is {significant(ratio)} times larger. Patterns with a singular value close to"
-        " the smallest are poorly determined. If the two smallest were equal, alpha would not be"
-        " unique."
+        f"The second value is {significant(ratio)} times the first. If both were equal, alpha would"
+        " not be unique."
     )
-    return Section("singular-values", "Singular values", (), "singular-values", caption)
+    more = (
+        "Singular values of the balance, ascending. The first belongs to alpha itself. Patterns"
+        " with a singular value close to the smallest are poorly determined."
+    )
+    return Section("singular-values", "Singular values", (), "singular-values", caption, more)
 
 
 def _balance(evidence: Evidence) -> Section:
@@ -344,8 +421,8 @@ def _balance(evidence: Evidence) -> Section:
     if isinstance(evidence.residuals, ModeResiduals):
         words = "Held-out modes show how well alpha applies to other forces."
         return Section("balance", title, (words,), tables=(table,))
-    caption = "Imbalance of each signed shape in units of noise, with alpha = 1 and calibrated."
-    return Section("balance", title, (), "balance", caption, (table,))
+    caption = "Rms imbalance of each signed shape, with alpha = 1 and calibrated."
+    return Section("balance", title, (), "balance", caption, tables=(table,))
 
 
 def times(findings: Findings) -> Section:
@@ -373,9 +450,9 @@ def times(findings: Findings) -> Section:
         )  # fmt: skip
     head = ("cycle", "load", "its number", "file", "start (UTC)", "minutes", "rows", "rejected",
             "temperature (°C)")  # fmt: skip
-    caption = f"Times of {counted(rows, 'cycle')}, and temperatures if known."
+    caption = f"{counted(rows, 'cycle')}; the table of cycles is at the end of the page."
     tables = (TextTable("Cycles", head, tuple(rows)),)
-    return Section("times", title, (), "temperatures", caption, tables)
+    return Section("times", title, (), "temperatures", caption, tables=tables)
 
 
 def all_figures(c: Calibration) -> TextTable:
@@ -457,29 +534,24 @@ def _stiffness_modes(modes: ModalFindings) -> Section:
     words += [f"Warning: {as_sentences(each)}" for each in modes.warnings]
     rows = (
         ("asymmetry", *map(percent, modes.asymmetry)),
-        ("imbalance", *map(percent, modes.imbalance)),
+        ("net forces and torques of its columns", *map(percent, modes.imbalance)),
     )
     table = TextTable("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
     drawn = [f"{k + 1}: {stiffness_text(values[k])}" for k in chosen_modes(values.size)]
-    caption = (
-        "Maps of modes, seen along -z, softest first: displacement of each actuator relative to the"
-        f" largest of the mode. Modes and their stiffness: {'; '.join(drawn)}."
-    )
-    return Section("modes", "Stiffness modes", tuple(words), "modes", caption, (table,))
+    caption = "Displacement of each actuator relative to the largest of the mode."
+    more = f"Maps of modes, softest first. Modes and their stiffness: {'; '.join(drawn)}."
+    return Section("modes", "Stiffness modes", tuple(words), "modes", caption, more, (table,))
 
 
 def _turbulence(base: ModalBase) -> Section:
-    caption = "Rms residual wavefront on the actuators after the first N modes of three bases."
+    caption = "Rms wavefront at the actuators that the first N modes of each base leave."
     words = (f"For {turbulence_text(base)}.", f"Fitting error: {fitting_error_text(base)}.")
     return Section("turbulence", "Turbulence", words, "modes-residual", caption)
 
 
 def _dissipation(base: ModalBase) -> Section:
     rows = cost_rows(base)
-    caption = (
-        "Mean power of the worst coil (solid) and of all coils (dotted), static force included,"
-        " against the number of modes."
-    )
+    caption = "Power of N modes of each base, static force included."
     words = (
         f"Static forces of the actuators: {static_force_text(base)}.",
         "truenewton modes --power W --force N prints the number of modes within a limit.",
@@ -491,4 +563,4 @@ def _dissipation(base: ModalBase) -> Section:
         head[: len(rows[0])], tuple(rows),
     )  # fmt: skip
     figure = "modes-power" if np.isfinite(base.costs[0].efficiency) else ""
-    return Section("dissipation", "Dissipation", words, figure, caption, (table,))
+    return Section("dissipation", "Dissipation", words, figure, caption, tables=(table,))

@@ -28,7 +28,7 @@ from bokeh.models import (
     TapTool,
     WheelZoomTool,
 )
-from bokeh.models.annotations import ColorBar, Span
+from bokeh.models.annotations import ColorBar, Label, Span
 from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
@@ -43,18 +43,31 @@ from truenewton.figures.maps import (
     dot_radius,
     names_by_ring,
     numbers_by_ring,
+    outside_places,
     ring_edges,
     ring_label,
     ring_names,
     ring_radii,
     segment_places,
+    shown_rings,
 )
-from truenewton.figures.style import ACCENT, ALARM, CROWDED, FAINT, INK, MILLIMETRE, NAMED
+from truenewton.figures.style import (
+    ACCENT,
+    ALARM,
+    ALPHA,
+    BY_RING,
+    CROWDED,
+    FAINT,
+    INK,
+    MILLIMETRE,
+    NAMED,
+)
 from truenewton.report.findings import Evidence
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
 
 FONT = "system-ui, sans-serif"
+OUTSIDE = ("x0", "y0", "x", "y", "id", "align")  # of IDs around the map, each with a line
 Plot = Any  # a figure of Bokeh, whose stubs lack many options
 
 
@@ -68,6 +81,7 @@ def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSour
         "number": numbers_by_ring(layout).astype(np.int32),
         "shown": layers[0].values.copy(),
         "ink": ["#000000"] * layout.n,  # of the name on its dot; the page sets it
+        "rim": [INK] * layout.n,  # red of outliers; the page sets it
     }
     for layer in layers:
         columns[layer.key] = np.array(layer.values)
@@ -89,12 +103,18 @@ def mirror_map(
 ) -> Plot:
     """Return the map of the actuators, coloured by the first layer, with edges of the glass [m]."""
     plot = _empty_plot(sizing_mode="scale_width", aspect_ratio=0.92, match_aspect=True)
-    plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm)", "y (mm)"
+    plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm), seen along -z", "y (mm)"
     plot.grid.visible = False
+    plot.x_range.range_padding = plot.y_range.range_padding = 0.08  # IDs of outliers are outside
     if radii := ring_radii(layout):
         x, y = np.divide(ring_centre(layout), MILLIMETRE).tolist()
         plot.circle(x=x, y=y, radius=radii, fill_color=None, line_color=FAINT, line_width=0.5,
                     level="underlay")  # fmt: skip
+        shown = shown_rings(radii) if len(radii) > 1 else []
+        if shown:
+            rule = _axis({x + radius: str(k) for k, radius in shown})
+            rule.axis_label = "ring"
+            plot.add_layout(rule, "below")
     if edges:
         closed = [np.concatenate([edge, edge[:1]]).T / MILLIMETRE for edge in edges]
         plot.multi_line(
@@ -107,8 +127,8 @@ def mirror_map(
     )
     dots = plot.circle(
         x="x", y="y", radius=dot_radius(layout), source=source,
-        fill_color={"field": "shown", "transform": mapper}, line_width=0.5,
-        line_color=INK if layout.n <= CROWDED else None,
+        fill_color={"field": "shown", "transform": mapper}, line_color="rim",
+        line_width=0.5 if layout.n <= CROWDED else 0.1,
         selection_line_color=ALARM, selection_line_width=3.0,
         nonselection_fill_alpha=0.35, nonselection_line_alpha=0.35,
     )  # fmt: skip
@@ -116,6 +136,11 @@ def mirror_map(
         plot.text(x="x", y="y", text={"field": "id"}, source=source, text_color={"field": "ink"},
                   text_font=value(FONT), text_font_size="0.65em", text_align="center",
                   text_baseline="middle", nonselection_text_alpha=0.6)  # fmt: skip
+    outside = ColumnDataSource({name: [] for name in OUTSIDE}, name="outside")
+    plot.segment(x0="x0", y0="y0", x1="x", y1="y", source=outside, line_color=ALARM)
+    plot.text(x="x", y="y", text={"field": "id"}, source=outside, text_color=ALARM,
+              text_font=value(FONT), text_font_size="0.75em", text_baseline="middle",
+              text_align={"field": "align"})  # fmt: skip
     if places := segment_places(layout):
         names, at_x, at_y = zip(*((str(k), x, y) for k, x, y in places), strict=True)
         plot.text(x=at_x, y=at_y, text=names, text_color=INK,
@@ -135,17 +160,27 @@ def palette(layer: Layer) -> tuple[str, ...]:
     return PuOr11 if layer.diverging else Cividis256
 
 
+def shown_outliers(layer: Layer, layout: Layout) -> dict[str, Any]:
+    """Return the indices of a layer's outliers, and their IDs around the map if dots have none."""
+    which = layer.outliers
+    places = [] if bears_names(layout) else outside_places(layout, which)
+    rows = [(layout.x[k] / MILLIMETRE, layout.y[k] / MILLIMETRE, x, y, str(layout.id[k]),
+             "left" if x > 0 else "right") for k, x, y in places]  # fmt: skip
+    columns = zip(*rows, strict=True) if rows else [()] * len(OUTSIDE)
+    return {"outliers": which.tolist(), "outside": dict(zip(OUTSIDE, columns, strict=True))}
+
+
 def alpha_by_ring(
     source: ColumnDataSource, calibration: AnyCalibration, layers: tuple[Layer, ...]
 ) -> Plot:
-    """Return alpha by ring, with bars of 3 E_STAT."""
+    """Return alpha by ring, with grey bars of 3 E_STAT."""
     plot, layout = _empty_plot(), calibration.layout
     alpha, error = calibration.column("alpha"), calibration.column("statistical_error")
     source.data["low"], source.data["high"] = alpha - 3 * error, alpha + 3 * error
-    plot.segment(x0="number", x1="number", y0="low", y1="high", source=source, line_color=INK,
+    plot.segment(x0="number", x1="number", y0="low", y1="high", source=source, line_color=FAINT,
                  nonselection_line_alpha=0.2)  # fmt: skip
     _actuator_points(plot, source, layout, "alpha", layers)
-    plot.yaxis.axis_label = "alpha (true N / commanded N)"
+    plot.yaxis.axis_label = ALPHA
     return plot
 
 
@@ -158,6 +193,9 @@ def change_by_ring(
         if np.isfinite(level):
             plot.add_layout(Span(location=level, dimension="width", line_color=FAINT,
                                  line_dash="solid" if level == 0.0 else "dashed"))  # fmt: skip
+            if level:
+                plot.add_layout(Label(x=0, x_units="screen", y=level, text="limit", text_font=FONT,
+                                      text_font_size="0.75em"))  # fmt: skip
     _actuator_points(plot, source, layout, layers[0].key, layers)
     plot.yaxis.axis_label = layers[0].title
     return plot
@@ -179,15 +217,24 @@ def _actuator_points(
         plot.xaxis.ticker = BasicTicker(min_interval=1)
         plot.xaxis.major_label_overrides = {0: "", **names}
     if rings := ring_names(layout):
-        looks: dict[str, Any] = {"ticker": FixedTicker(ticks=list(rings)),
-                                 "major_label_overrides": rings}  # fmt: skip
-        above = LinearAxis(axis_line_color=None, major_tick_line_color=None,
-                           major_label_text_font=FONT, major_label_text_color=INK,
-                           **looks)  # fmt: skip
-        plot.add_layout(above, "above")
+        plot.add_layout(_axis(rings), "below" if layout.n >= BY_RING else "above")
+    if rings and layout.n >= BY_RING:  # as ticks, instead of actuators
+        actuators, groups = plot.below
+        actuators.visible, groups.axis_label = False, group_name(layout)
     plot.x_range.range_padding = 0.04  # the first and the last dot shall not be cut
     plot.y_range.range_padding = 0.15
     _add_actuator_tools(plot, dots, layout, layers)
+
+
+def _axis(names: dict[float, str]) -> LinearAxis:
+    """Return an axis without line that has names at some places."""
+    looks: dict[str, Any] = {"ticker": FixedTicker(ticks=list(names)),
+                             "major_label_overrides": names}  # fmt: skip
+    return LinearAxis(
+        axis_line_color=None, major_tick_line_color=None, minor_tick_line_color=None,
+        major_label_text_font=FONT, major_label_text_color=INK, axis_label_text_font=FONT,
+        axis_label_text_font_style="normal", **looks,
+    )  # fmt: skip
 
 
 def _empty_plot(**size: Any) -> Plot:
@@ -221,12 +268,13 @@ def _add_actuator_tools(plot: Plot, dots: Any, layout: Layout, layers: tuple[Lay
 
 @dataclass(frozen=True)
 class View:
-    """A figure of Bokeh: its key for links, its title, and the same in words."""
+    """A figure of Bokeh: key for links, title, caption, and what it shows for screen readers."""
 
     key: str
     title: str
     plot: Plot
     caption: str
+    more: str = ""
 
 
 @dataclass(frozen=True)
@@ -253,11 +301,8 @@ def calibration_views(
     known = np.unique(groups[np.isfinite(alpha)]).tolist()
     means = ", ".join(f"{k}: {np.nanmean(alpha[groups == k]):.3f}" for k in known)
     by = f"by {group}" if len(known) > 1 else "by actuator"
-    caption = (
-        f"Alpha {by}. Bars: three standard uncertainties from the readings (3 E_STAT)."
-        f" Means by {group}: {means}."
-    )
-    by_ring = View("rings", f"Alpha {by}", alpha_by_ring(source, c, layers), caption)
+    by_ring = View("rings", f"Alpha {by}", alpha_by_ring(source, c, layers),
+                   "Bars: ±3 σ_stat.", f"Mean alpha by {group}: {means}.")  # fmt: skip
     return _with_map("Map of the mirror", source, c.layout, layers, edges, by_ring)
 
 
@@ -265,13 +310,10 @@ def change_views(change: AnyChange, edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of what changed; edges (vertices, 2) [m]."""
     layers, layout, limit = change_layers(change), change.layout, np.nan
     source, title = actuator_source(layout, layers), f"Change by {group_name(layout)}"
-    caption = f"{title}: new over old alpha, relative to the mean of those that did not change."
+    caption = "New over old alpha, relative to the mean of those that did not change."
     if isinstance(change, Change):
         limit = change.limit
-        caption = (
-            f"{title}, in sigmas. The dashed lines ({limit:.1f} sigma) are exceeded by chance in"
-            " 1 % of comparisons."
-        )
+        caption = f"Dashed: the limit, {limit:.1f} sigma, exceeded by chance in 1 % of comparisons."
     by_ring = View("rings", title, change_by_ring(source, layout, layers, limit), caption)
     return _with_map("Map of the change", source, layout, layers, edges, by_ring)
 
@@ -284,10 +326,10 @@ def _with_map(
     edges: Sequence[Array],
     by_ring: View,
 ) -> Actuators:
-    glass = " Lines are the edges of the glass." if edges else ""
-    caption = (
-        f"Map of {counted(layout.n, 'actuator')}, seen along -z, coloured by the layer selected"
-        f" below.{glass} The table of actuators contains all values."
+    caption = "Seen along -z. Red: outliers." + (" Lines: edges of the glass." if edges else "")
+    more = (
+        f"{counted(layout.n, 'actuator')}, coloured by the layer selected below. The table of"
+        " actuators contains all values."
     )
-    shown = View("map", title, mirror_map(source, layout, layers, edges), caption)
+    shown = View("map", title, mirror_map(source, layout, layers, edges), caption, more)
     return Actuators(layout, layers, (shown, by_ring))
