@@ -19,6 +19,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 from typer.main import get_command
 
+import truenewton as tn
 from truenewton.cli.json_schema import json_schema
 from truenewton.cli.main import app
 
@@ -122,6 +123,14 @@ def source_pages(sphinx: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
         yield source_page(module), {"title": title, "body": f"<h1>{title}</h1>{body}"}, "page.html"
 
 
+def example_report(sphinx: Sphinx, error: Exception | None) -> None:
+    """Write the report that the page on reports shows."""
+    if error is None:
+        cycles = tn.run_cycles(tn.static_bench(tn.mirrors.p45(), seed=1), 4)
+        found = tn.investigate(tn.Campaign(tuple(cycles)), diameter=2.13, efficiency=0.51)
+        tn.write_report(Path(sphinx.outdir) / "example-report.html", found, overwrite=True)
+
+
 def documented_elsewhere(
     sphinx: Sphinx, environment: BuildEnvironment, node: pending_xref, content: nodes.Element
 ) -> nodes.reference | None:
@@ -149,6 +158,7 @@ def setup(sphinx: Sphinx) -> dict[str, bool]:
     sphinx.add_directive("constants", Constants)
     sphinx.add_post_transform(SourceLinks)
     sphinx.connect("source-read", pages_of_the_root)
+    sphinx.connect("build-finished", example_report)
     sphinx.connect("missing-reference", documented_elsewhere)
     sphinx.connect("html-collect-pages", source_pages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -101,7 +101,8 @@ def alpha_layer(calibration: Any, key: str, name: str) -> Layer:
     alpha = calibration.column("alpha")
     return Layer(key, name, "true N / commanded N", alpha,
                  "True Newton per commanded Newton, with its total error (E_ALPHA).",
-                 calibration.column("error"), float(np.nanmean(alpha)))  # fmt: skip
+                 calibration.column("error"), float(np.nanmean(alpha)),
+                 calibration.column("statistical_error"))  # fmt: skip
 
 
 def _sensor_layers(c: Any) -> list[Layer]:

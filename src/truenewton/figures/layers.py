@@ -46,6 +46,7 @@ class Layer:
     meaning: str  # one sentence
     errors: Array | None = None  # (n,) to which the values are rounded; two digits if None
     centre: float = float("nan")  # white of the colours, if they are for both sides of a value
+    own_errors: Array | None = None  # (n,) without what is common to all; None: the errors
     reach: float = float("nan")  # from the centre to the ends of the colours; NaN: from the values
 
     @property
@@ -91,8 +92,8 @@ class Layer:
         """(k,) indices of at most 8 outliers: farther from the median than 5 times the spread."""
         apart = np.abs(self.values - np.nanmedian(self.values))
         spread = 1.4826 * np.nanmedian(apart)
-        if self.errors is not None:
-            spread = np.hypot(spread, self.errors)
+        if (errors := self.errors if self.own_errors is None else self.own_errors) is not None:
+            spread = np.hypot(spread, errors)
         least = 1e-9 * np.nanmax(np.abs(self.values)) or 1.0  # of equal values, rounded
         ratio = np.nan_to_num(apart / np.maximum(spread, least))
         farthest = np.argsort(-ratio, kind="stable")[:MAX_OUTLIERS]
