@@ -6,6 +6,7 @@ python -m studies.bench --coverage 200     closed-loop campaigns of P45: errors 
 python -m studies.bench --imperfections 5  what each imperfection costs that is left out
 python -m studies.bench --rings 10         336 actuators on a curved shell, at the loop's noise
 python -m studies.bench --settling         the air film's damping by mode; how long to wait
+python -m studies.bench --tilt 50          coils that move as the mirror leans
 """
 
 from __future__ import annotations
@@ -42,7 +43,12 @@ from truenewton.mirrors.shell.dynamics import film_damping
 from truenewton.mirrors.shell.mesh import shell_mesh
 from truenewton.mirrors.shell.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.round_shell import RoundShell
-from truenewton.mirrors.shell.shell_model import condense, rigid_motions, static_shapes
+from truenewton.mirrors.shell.shell_model import (
+    condense,
+    model_shell,
+    rigid_motions,
+    static_shapes,
+)
 from truenewton.statics.modes import stiffness_modes
 
 
@@ -203,6 +209,45 @@ def rings(count: int) -> None:
     large_mirror(mmt336(), count, (4e-6, 12e-6, 1e-4))
 
 
+def tilt(seeds: int) -> None:
+    """Print the error of the scale by a tilt of 60 degrees, as the coils move, over that stated."""
+    print(f"P45, bare and leaning by 60 +- 0.1 deg, 2 cycles each, {seeds} seeds from 1000")
+    print("  rms error of the scale over that stated; stated error")
+    full, unread = {}, {"position": None}
+    undeclared = {"coil_gradient": None, "bias_gradient": None}
+    glass = model_shell(p45())
+    for what, left_out in (
+        ("COILZ +- 0.5 um", full),
+        ("no COILZ", full),
+        ("no COILZ, POSITION", unread),
+        ("no COILZ, COILGRAD, BIASGRAD", undeclared),
+    ):
+        print(f"  {what:30s}", end="")
+        for shift in (0.0, 2e-6, 5e-6, 10e-6):
+            error = 0.5e-6 if what.startswith("COILZ") else None
+            of_load = {"coil_shift": shift, "coil_shift_error": error}
+            loads = tn.Load("bare"), tn.Load("tilted", tilt=60.0, tilt_error=0.1, **of_load)
+            found = []
+            for seed in range(1000, 1000 + seeds):
+                bench = static_bench(p45(), seed, loads=loads, glass=glass)
+                declared = {} if error else {"coil_shift": None}
+                made = tn.calibrate(
+                    tn.Campaign(
+                        tuple(
+                            replace(c, load=replace(c.load, **declared), **left_out)
+                            for c in run_cycles(bench, 2)
+                        )
+                    )
+                )
+                along = made.alpha / (made.alpha @ made.alpha)
+                stated = np.sqrt(along @ made.covariance[:45, :45] @ along)
+                found.append((along @ (bench.truth.alpha - made.alpha), stated))
+            off, stated = np.array(found).T
+            print(f"   {1e6 * shift:2.0f} um {rms(off / stated):.2f}, {100 * rms(stated):.2f} %",
+                  end="", flush=True)  # fmt: skip
+        print()
+
+
 MODES = {"softest elastic": 3, "middle": 24, "stiffest": 44}
 WAITS = (0.02, 0.05, 0.1, 0.15, 0.2)  # [s]
 
@@ -285,6 +330,7 @@ def main() -> None:
     parser.add_argument("--rings", type=int, metavar="CAMPAIGNS")
     parser.add_argument("--glass", metavar="PNG")
     parser.add_argument("--settling", action="store_true")
+    parser.add_argument("--tilt", type=int, metavar="SEEDS")
     options = parser.parse_args()
     if options.large:
         large(options.large)
@@ -294,6 +340,8 @@ def main() -> None:
         imperfections(options.imperfections)
     elif options.glass:
         glass(options.glass)
+    elif options.tilt:
+        tilt(options.tilt)
     elif options.settling:
         settling()
     elif options.rings:

@@ -63,7 +63,7 @@ def full_cycle(tiny):
         date=datetime.datetime(2026, 5, 4, 9, 30, 7, 123457, tzinfo=datetime.UTC),
         number=41,
         weight=-np.pi,
-        load=Load("Ring two", -1 / 3, 1e-3 / 7, "ring A", 1 / 7, 1 / 70),
+        load=Load("Ring two", -1 / 3, 1e-3 / 7, "ring A", 1 / 7, 1 / 70, 1e-6 / 7, 1e-7 / 7),
         time=random.uniform(0, 100, 24),
         shape=random.permutation(24) + 1,
         coil_gradient=600.1,
@@ -86,7 +86,7 @@ def test_what_a_cycle_does_not_know_is_neither_written_nor_read(tiny, tmp_path):
     )
     write_cycle(cycle, tmp_path / "c.fits")
     with fits.open(tmp_path / "c.fits") as hdus:
-        absent = {"TOOL", "COILGRAD", "BIASGRAD", "GAP", "FORCERR"}
+        absent = {"TOOL", "COILZ", "E_COILZ", "COILGRAD", "BIASGRAD", "GAP", "FORCERR"}
         assert not absent & set(hdus[0].header)
         assert hdus["MEASUREMENTS"].columns.names == ["TIME", "SHAPE", "SIGN", "FORCE", "VALID"]
     [back] = read(tmp_path / "c.fits").cycles
@@ -126,8 +126,8 @@ def test_a_cycle_file_is_as_the_contract_says(full_cycle, tmp_path):
         wanted = {
             "INSTRUME": "TINY", "LOAD": "Ring two", "CYCLE": 41, "WEIGHT": -np.pi,
             "E_WEIGHT": 0.005, "ADDED": -1 / 3, "E_ADDED": 1e-3 / 7, "TOOL": "ring A",
-            "TILT": 1 / 7, "E_TILT": 1 / 70, "COILGRAD": 600.1, "BIASGRAD": -31.7,
-            "GAP": 68e-6 / 1.1, "FORCERR": 1e-4 / 3,
+            "TILT": 1 / 7, "E_TILT": 1 / 70, "COILZ": 1e-6 / 7, "E_COILZ": 1e-7 / 7,
+            "COILGRAD": 600.1, "BIASGRAD": -31.7, "GAP": 68e-6 / 1.1, "FORCERR": 1e-4 / 3,
         }  # fmt: skip
         assert {key: header[key] for key in wanted} == wanted
         assert contract(hdus["MEASUREMENTS"]) == [

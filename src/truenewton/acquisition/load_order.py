@@ -34,7 +34,7 @@ from truenewton.arrays import Array
 from truenewton.bench.simulated.loop import Control
 from truenewton.mirrors.known import Mirror
 from truenewton.statics.arms import effective_weight
-from truenewton.statics.load import Load
+from truenewton.statics.load import Load, change_by_coil_shift
 
 HOUR = 3600.0
 WEIGHT_TOLERANCE = 1e-12  # relative difference of weights that is rounding
@@ -131,7 +131,7 @@ def scale_balance(plan: CampaignPlan, mirror: Mirror, shapes: int) -> ScaleBalan
         return None
     alpha = expected_alpha(mirror)
     noise = alpha * plan.force_noise * np.linalg.norm(nz) / np.sqrt(2 * shapes * plan.cycles)
-    errors = _weight_changes(plan, mirror)
+    errors = _weight_changes(plan, mirror, held)
     covariance = errors @ errors.T
     # Of readings far better than the weights no less than rounding leaves, or it has no inverse.
     covariance += max(noise**2, MIN_VARIANCE_SHARE * np.trace(covariance)) * np.eye(len(held))
@@ -141,8 +141,11 @@ def scale_balance(plan: CampaignPlan, mirror: Mirror, shapes: int) -> ScaleBalan
     return ScaleBalance(held, response, covariance, alpha * float(nz.sum()))
 
 
-def _weight_changes(plan: CampaignPlan, mirror: Mirror) -> Array:
-    """Return (L, errors) changes of W by one standard uncertainty of each error [N]."""
+def _weight_changes(plan: CampaignPlan, mirror: Mirror, held: Array) -> Array:
+    """Return (L, errors) changes of W by one standard uncertainty of each error [N].
+
+    ``held`` is (L,) S [N].
+    """
     loads = plan.loads
     cosine = np.cos(np.radians([load.tilt for load in loads]))
     columns = [mirror.weight_error * cosine]
@@ -154,6 +157,9 @@ def _weight_changes(plan: CampaignPlan, mirror: Mirror) -> Array:
         total = (mirror.weight + load.added) * np.sin(np.radians(load.tilt))
         leaned[index] = total * np.radians(load.tilt_error)
         columns.append(leaned)
+    nz = float(mirror.layout.nz[mirror.layout.enabled].sum())
+    by_shift = change_by_coil_shift(-held, nz, mirror.coil_gradient, mirror.bias_gradient)
+    columns += list(np.diag([load.coil_shift_error or 0.0 for load in loads] * by_shift))
     return np.column_stack(columns)
 
 

@@ -41,8 +41,8 @@ from truenewton.estimation.findings.estimate import (
     RejectedRow,
     Scale,
     UnseenError,
+    errors_between_loads,
     scale_errors,
-    temperature_errors,
     weight_errors,
 )
 from truenewton.estimation.findings.finding import Finding
@@ -135,7 +135,7 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
         rows = len(screened.rejected) + int(moments.rows.sum())
         refuse_too_many(len(screened.rejected), rows)
         force = moments.sums.force.sum(axis=1) / moments.sums.weight
-        errors = {**weight_errors(sound), **temperature_errors(sound, force)}
+        errors = {**weight_errors(sound), **errors_between_loads(sound, force)}
         free = problem_of(screened.campaign, reading_noise(sound, moments), errors)
         suspects = check_inputs(screened, free)
     with refusal_naming(

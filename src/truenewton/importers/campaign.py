@@ -73,6 +73,8 @@ class LoadFiles:
     tool: str | None = None
     tilt: float = 0.0
     tilt_error: float = 0.0
+    coil_shift: float | None = None
+    coil_shift_error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -196,9 +198,8 @@ def _load_of(given: LoadFiles) -> Load:
     weights = {
         name: _weight(getattr(given, name) or 0.0, name) for name in ("added", "added_error")
     }
-    return Load(
-        given.name, **weights, tool=given.tool, tilt=given.tilt, tilt_error=given.tilt_error
-    )
+    values = {field.name: getattr(given, field.name) for field in fields(Load)}
+    return Load(**values | weights)
 
 
 def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) -> dict[str, Any]:

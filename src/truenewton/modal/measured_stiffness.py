@@ -130,7 +130,7 @@ class MotionReader:
         force, own = block.force[counts], slice(first, first + np.count_nonzero(counts))
         if cycle.position is not None:
             z = block.position[counts] - cycle.rest_position
-            force *= 1.0 + (cycle.coil_gradient or 0.0) * z
+            force *= 1.0 + (cycle.coil_gradient or 0.0) * (z - (cycle.load.coil_shift or 0.0))
         at_rest = force[cycle.paired_rows[own]]
         self._rest[k] += at_rest.sum(axis=0)
         if k in self._groups and len(force):

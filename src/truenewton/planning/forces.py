@@ -24,6 +24,7 @@ from truenewton.mirrors.shell.shell_model import ShellModel, forces_under, weigh
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import arms
+from truenewton.statics.load import LIKELY_COIL_SHIFT, leaning
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,14 @@ def prepared_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") ->
 
 
 def _prepared(plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str]) -> Prepared:
+    # Coils move as the mirror leans; what is not declared is assumed.
+    loads = tuple(
+        replace(load, coil_shift_error=LIKELY_COIL_SHIFT)
+        if leans and load.coil_shift is load.coil_shift_error is None
+        else load
+        for load, leans in zip(plan.loads, leaning(plan.loads), strict=True)
+    )
+    plan = replace(plan, loads=loads)
     glass = model_glass(mirror)
     shapes, force, given = shapes_and_forces(plan, mirror, folder, glass)
     plan = with_turns(plan, mirror, len(shapes))
@@ -158,7 +167,7 @@ def noiseless(ready: Prepared) -> Campaign:
                 instrument=mirror.name,
                 date=START,
                 number=1,
-                load=load,
+                load=replace(load, coil_shift=None),  # not in the forces, either
                 weight=mirror.weight,
                 weight_error=mirror.weight_error,
                 layout=layout,
@@ -168,6 +177,8 @@ def noiseless(ready: Prepared) -> Campaign:
                 force=np.concatenate([elastic, -elastic]) + held,
                 valid=np.ones(2 * count, dtype=bool),
                 force_error=plan.force_noise,
+                coil_gradient=mirror.coil_gradient,
+                bias_gradient=mirror.bias_gradient,
             )
             for load, held in zip(plan.loads, static, strict=True)
         )

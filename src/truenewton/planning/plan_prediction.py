@@ -49,7 +49,7 @@ from truenewton.planning.prediction import (
 from truenewton.progress import report_progress, with_progress
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import counted
-from truenewton.statics.load import Load
+from truenewton.statics.load import LIKELY_COIL_SHIFT, Load
 
 DETECTION_SIGMAS = 3.0  # of an error of a load that a third load shows
 MAX_CYCLES = 999
@@ -374,8 +374,11 @@ def _tilted(plan: CampaignPlan) -> Ladder:
     taken = {load.key for load in plan.loads}
     name = next(name for k in range(len(taken) + 1) if (name := f"tilted{k or ''}") not in taken)
     for tilt in range(1, MAX_TILT + 1):
-        load = Load(name, tilt=float(tilt), tilt_error=TILT_ERROR)
-        words = f"a load tilted by {tilt:g} deg, known to {TILT_ERROR:g} deg"
+        load = Load(
+            name, tilt=float(tilt), tilt_error=TILT_ERROR, coil_shift_error=LIKELY_COIL_SHIFT
+        )
+        coils = f"its coils to {1e6 * LIKELY_COIL_SHIFT:g} um"
+        words = f"a load tilted by {tilt:g} deg, known to {TILT_ERROR:g} deg, {coils}"
         yield words, {"loads": (*plan.loads, load)}
 
 

@@ -18,7 +18,14 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.estimation.campaign_ml import patterns_near_noise, tolerable, with_patterns_held
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import Diagnosis, ScaleError, scale_errors, typical
+from truenewton.estimation.findings.estimate import (
+    Diagnosis,
+    ScaleError,
+    errors_between_loads,
+    scale_errors,
+    typical,
+    weight_errors,
+)
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import expected
 from truenewton.estimation.paper.identifiability import (
@@ -145,7 +152,9 @@ def predict(
     """
     free = load_fault(campaign)
     refuse(fault for fault in structural_faults(campaign, moments) if fault != free)
-    problem = problem_of(campaign, reading_noise(campaign, moments))
+    force = moments.sums.force.sum(axis=1) / moments.sums.weight
+    errors = weight_errors(campaign) | errors_between_loads(campaign, force)
+    problem = problem_of(campaign, reading_noise(campaign, moments), errors)
     n, layout = problem.n, campaign.layout
     alpha = np.ones(n) if alpha is None else alpha
     values = _true_values(problem, moments, alpha)

@@ -30,6 +30,8 @@ OF_LOAD = {
     "load.added_error": "E_ADDED",
     "load.tilt": "TILT",
     "load.tilt_error": "E_TILT",
+    "load.coil_shift": "COILZ",
+    "load.coil_shift_error": "E_COILZ",
     "load.tool": "TOOL",
 }
 
@@ -54,8 +56,8 @@ class Campaign:
     --------
     >>> campaign
     <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
-    >>> tn.Campaign(campaign.cycles[:1]).loads
-    (Load(name='bare', added=0.0, added_error=0.0, tool=None, tilt=0.0, tilt_error=0.0),)
+    >>> [load.name for load in campaign.loads]
+    ['bare', 'ring']
     """
 
     cycles: tuple[Cycle, ...]

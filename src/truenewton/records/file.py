@@ -64,6 +64,10 @@ CYCLE = FileFormat(
         Keyword("TOOL", "load.tool", "name of the added weight", kind="str", absent=None),
         Keyword("TILT", "load.tilt", "angle between axis and vertical", "deg", absent=0.0),
         Keyword("E_TILT", "load.tilt_error", "standard uncertainty of TILT", "deg", absent=0.0),
+        Keyword("COILZ", "load.coil_shift", "displacement of the coils along +z", "m", absent=None),
+        Keyword(
+            "E_COILZ", "load.coil_shift_error", "standard uncertainty of COILZ", "m", absent=None
+        ),
         Keyword(
             "COILGRAD", "coil_gradient", "relative change of force along +z", "1/m", absent=None
         ),

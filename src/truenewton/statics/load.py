@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.quantities import Quantity, check_quantities, convert_quantities
 
@@ -15,6 +20,11 @@ LARGEST_FORCE = 1e6  # beyond it a force is a slip of the unit, and squares must
 SMALLEST_FORCE = 1e-9  # and the least that the largest one may be: squares stay above zero [N]
 GRAVITY = 9.80665  # standard acceleration, for weights that are given as masses [m/s^2]
 STEEPEST = math.nextafter(90.0, 0.0)  # tilt [deg]
+MIN_LEAN = 5.0  # beyond any error of levelling a bench [deg]
+LARGEST_COIL_SHIFT = 1e-3  # more than any gap: a slip of the unit [m]
+LIKELY_COIL_SHIFT = 5e-6  # of a mirror that leans [m, guess]
+# COILGRAD [1/m] and BIASGRAD [N/m] if they are not declared: of P36 and the LBT secondaries [conf].
+TYPICAL_GRADIENTS = 600.0, 31.0
 
 
 def weight_quantity(name: str, highest: float) -> Quantity:
@@ -58,6 +68,9 @@ class Load:
         Name of the weight; loads with the same tool have a common error of their weight.
     tilt, tilt_error
         Angle between optical axis and vertical, and its standard uncertainty [deg].
+    coil_shift, coil_shift_error
+        Displacement of the coils along +z relative to the reference plate of the sensors, as the
+        mirror leans, and its standard uncertainty [m]; None if they are not known.
 
     Raises
     ------
@@ -77,6 +90,11 @@ class Load:
             "give the angle between axis and vertical, under 90 deg", "TILT is {:g} deg",
         ),
         "tilt_error": error_quantity("E_TILT", "deg"),
+        "coil_shift": Quantity(
+            "m", -LARGEST_COIL_SHIFT, LARGEST_COIL_SHIFT,
+            "give it in metres: 5e-6 is 5 um", "COILZ is {:g} m",
+        ),
+        "coil_shift_error": error_quantity("E_COILZ", "m"),
     }  # fmt: skip
 
     name: str
@@ -85,6 +103,8 @@ class Load:
     tool: str | None = None
     tilt: float = 0.0
     tilt_error: float = 0.0
+    coil_shift: float | None = None
+    coil_shift_error: float | None = None
 
     def __post_init__(self) -> None:
         convert_quantities(self)
@@ -97,6 +117,35 @@ class Load:
     def key(self) -> str:
         """The name as it is compared."""
         return self.name.strip().casefold()
+
+
+def leaning(loads: Sequence[Load]) -> NDArray[np.bool_]:
+    """Return under which of (L,) loads the mirror leans more than under the others."""
+    tilt = np.abs([load.tilt for load in loads])
+    return np.asarray(tilt > tilt.min() + MIN_LEAN)
+
+
+def change_by_coil_shift(
+    held: Array, nz: float, coil_gradient: float | None, bias_gradient: float | None
+) -> Array:
+    """Return (L,) the change of W equivalent to coils that are displaced along +z [N/m].
+
+    Displaced by d, coils give 1 - COILGRAD d times their force, and each bias force changes by
+    -BIASGRAD d. The balance A alpha c (1 - COILGRAD d) + W + B - BIASGRAD d sum(nz) is that of a
+    weight W + d (COILGRAD (W + B) - BIASGRAD sum(nz)).
+
+    Parameters
+    ----------
+    held
+        (L,) W + B [N].
+    nz
+        Sum over the actuators.
+    coil_gradient, bias_gradient
+        COILGRAD and BIASGRAD; `TYPICAL_GRADIENTS` if one is unknown.
+    """
+    if not coil_gradient or bias_gradient is None:
+        coil_gradient, bias_gradient = TYPICAL_GRADIENTS
+    return np.asarray(coil_gradient * held - bias_gradient * nz)
 
 
 def check_load(load: Load) -> None:

@@ -3,6 +3,7 @@
 A shape z is held by the true forces f = K z + f_load. f_load balances the weight of the glass,
 spread evenly, the magnets and bias magnets at the actuators, and the weight tool on three wedges.
 The bias magnets change by BIASGRAD z. The electronics record c = f / (alpha (1 + COILGRAD z)).
+In both, z is relative to the coils, which shift as the mirror leans.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class StaticBench:
     loads: tuple[Load, ...]  # as declared
     shapes: Array  # (shapes, n) readings along z [m]: stiffness modes, softest first
     load_force: Array  # (L, n) true forces that hold the flat mirror under each load [N]
+    coil_shift: Array  # (L,) true displacement of the coils along +z under each load [m]
     force_noise: float  # standard deviation of one commanded-force reading [N]
 
 
@@ -130,6 +132,14 @@ def static_bench(
     glass = glass or model_shell(mirror)
     added, tilt, external = _drawn_loads(mirror, loads, weight, bias, random)
     load_force = np.array([forces_under(glass, each) for each in external])
+    shift = np.array(
+        [
+            (load.coil_shift or 0.0) + random.normal(0.0, load.coil_shift_error)
+            if load.coil_shift_error
+            else load.coil_shift or 0.0
+            for load in loads
+        ]
+    )
     k = np.array([external_resultants(mirror, each) for each in external])
     coils = Coils(alpha, bias_gradient=mirror.bias_gradient,
                   coil_gradient=mirror.coil_gradient, temperature=temperature)  # fmt: skip
@@ -154,7 +164,10 @@ def static_bench(
     by_reading = (glass.stiffness - coils.bias_gradient * np.eye(n)) * sensors.gain
     room /= 1 + coils.coil_gradient * stroke
     shapes = scaled_modes(stiffness_modes(glass.stiffness).modes.T, by_reading, stroke, room)
-    return StaticBench(mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise)
+    load_force += coils.bias_gradient * shift[:, None]
+    return StaticBench(
+        mirror, truth, glass, coils, sensors, loads, shapes, load_force, shift, force_noise
+    )
 
 
 def _drawn_loads(
@@ -229,7 +242,8 @@ def held_command(bench: StaticBench, load_index: int, position: Array) -> Array:
     z = position * bench.sensors.gain
     true_force = z @ bench.glass.stiffness.T + bench.load_force[load_index]
     true_force -= bench.coils.bias_gradient * z
-    return np.asarray(true_force / (bench.truth.alpha * (1 + bench.coils.coil_gradient * z)))
+    nearer = z - bench.coil_shift[load_index]
+    return np.asarray(true_force / (bench.truth.alpha * (1 + bench.coils.coil_gradient * nearer)))
 
 
 def take(
@@ -248,6 +262,8 @@ def take(
     noise = [row_noise(bench.truth.seed, *label, stream) for label in labels]
     if loop is not None:
         load_force = bench.load_force[load_index, :, None]
+        nearer = 1.0 - loop.coils.coil_gradient * bench.coil_shift[load_index]
+        loop = replace(loop, coils=replace(loop.coils, alpha=nearer * loop.coils.alpha))
         return record(loop, position.T, load_force, noise, samples=samples)
     n = bench.mirror.layout.n
     drawn = np.array([row.standard_normal(2 * n) for row in noise]) * np.sqrt(SAMPLES / samples)

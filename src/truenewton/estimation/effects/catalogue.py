@@ -25,8 +25,10 @@ from truenewton.estimation.effects.fields import (
 )
 from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import bias_per_gain, weight_by_coil_shift
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
+from truenewton.statics.load import LIKELY_COIL_SHIFT, leaning
 
 # Effects by which rows of one group differ.
 WITHIN_GROUPS = {
@@ -90,11 +92,14 @@ class Effect:
 def _gain(fit: FittedRows) -> Field:
     """Return g = -c^ h, h by file, by hour (both also of each actuator) and by load.
 
-    The h of a load is 1 under it, less its mean over all rows, so that alpha stays that of the
-    whole campaign.
+    The h of a load is 1 under it, less its mean over the rows of all loads under which the mirror
+    does not lean, so that alpha stays that of these. Under the first of them it is 0.
     """
-    of_load, weight = fit.moments.of_load, fit.moments.weight
-    loads = (of_load - weight @ of_load / weight.sum()).T[1:]
+    of_load, lean = fit.moments.of_load, leaning(fit.moments.loads)
+    upright = of_load[:, ~lean].sum(axis=1)
+    weight = fit.moments.weight * upright
+    mean = upright[:, None] * (weight @ of_load / weight.sum())
+    loads = np.delete((of_load - mean).T, int(lean.argmin()), axis=0)
     within = len(fit.moments.within.first)
     functions = functions_with(fit.moments, loads)
     return Field(lambda _, c: -c, functions, within, each=within, gain=True)
@@ -176,11 +181,26 @@ def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
 
 
 def gain_by_load(fit: FittedRows) -> Derivative | None:
-    """Return alpha, or shapes, that differ between loads: only POSITION distinguishes these."""
+    """Return alpha, or shapes, that differ between loads: only POSITION distinguishes these.
+
+    As the mirror leans, coils move against the reference plate. Those that gain theta have come
+    nearer by theta / COILGRAD, and so have the bias magnets, whose forces change with them.
+    """
     if len(fit.moments.loads) < 2:
         return None
-    gain = _sums(fit, "gain")
-    return derivative_of(fit, gain, slice(gain.field.within, len(gain.score)))
+    gain, lean = _sums(fit, "gain"), leaning(fit.moments.loads)
+    readings = derivative_of(fit, gain, slice(gain.field.within, len(gain.score)))
+    ratio = bias_per_gain(fit.problem.campaign)
+    if not lean.any() or ratio is None:
+        return readings
+    nearer = np.delete(fit.moments.of_load * lean, int(lean.argmin()), axis=1)
+    magnets = on_balance(fit, ratio * fit.problem.a.sum(axis=1)[None, :, None] * nearer[:, None])
+
+    def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return magnets.remove(*readings.remove(problem, moments, theta), theta)
+
+    jacobian = np.asarray(readings.jacobian) + np.asarray(magnets.jacobian)  # all share each size
+    return replace(readings, remove=remove, jacobian=jacobian)
 
 
 def zero_by_file(fit: FittedRows, *, each: bool, at_rest: bool = False) -> Derivative | None:
@@ -289,6 +309,29 @@ def on_balance(fit: FittedRows, change: Array) -> Derivative:
     return Derivative(k, remove, jacobian=jacobian)
 
 
+def shifted_coils(fit: FittedRows) -> Derivative | None:
+    """Return coils that move by 5 um under each load under which the mirror leans.
+
+    Elastic forces would show it as a gain by load, but only POSITION tells that from larger shapes,
+    and only gradients tell by how much bias magnets change.
+    """
+    campaign = fit.problem.campaign
+    unknown = [
+        lean and load.coil_shift is None and load.coil_shift_error is None
+        for load, lean in zip(campaign.loads, leaning(campaign.loads), strict=True)
+    ]
+    measured = fit.moments.displacement is not None and fit.moments.pooled
+    if not any(unknown) or (measured and bias_per_gain(campaign) is not None):
+        return None
+    change = weight_by_coil_shift(campaign, fit.bias)[unknown]
+    return on_balance(fit, LIKELY_COIL_SHIFT * change * on_loads(fit, unknown))
+
+
+def on_loads(fit: FittedRows, loads: Sequence[bool] | slice = slice(1, None)) -> Array:
+    """(g, 3, K) a force of 1 N in the balance under each of some loads; by default all but one."""
+    return np.eye(3)[None, :, :1] * fit.moments.of_load[:, None, loads]
+
+
 _WARM = "let the electronics warm up, and take bare and loaded cycles in turn"
 _ZERO = "take bare and loaded cycles in turn, so that the zeros of both come to the same"
 _COIL = "use smaller shapes, at half of which it is {} as large, or have the coil drivers looked at"
@@ -309,6 +352,8 @@ def _by_load(fit: FittedRows) -> str:
         missing.append("POSITION, which tells whether shapes differ between loads")
     if any(cycle.temperature is None for cycle in fit.problem.campaign.cycles):
         missing.append("TEMPERATURE")
+    if leaning(fit.moments.loads).any():
+        missing.append("COILZ, how far the coils move as the mirror leans")
     what = f"record {', and '.join(missing)}" if missing else "look for what warms the coils"
     return f"{what}: what warms coils changes the bias magnets too, and the scale with them"
 

@@ -74,6 +74,11 @@ class FittedRows:
         """(n,) alpha."""
         return self.minimum.values[: self.problem.n]
 
+    @property
+    def bias(self) -> float:
+        """B [N]."""
+        return float(self.minimum.values[self.problem.unknowns.bias])
+
     @cached_property
     def scaled_arms(self) -> Array:
         """(3, n) A diag(alpha)."""

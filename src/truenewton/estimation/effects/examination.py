@@ -34,7 +34,9 @@ from truenewton.estimation.effects.catalogue import (
     POSITIONS,
     ZEROS_OF_EACH,
     on_balance,
+    on_loads,
     parts_of_positions,
+    shifted_coils,
 )
 from truenewton.estimation.effects.correction import (
     Correction,
@@ -57,6 +59,7 @@ from truenewton.estimation.findings.estimate import (
     ErrorKind,
     ScaleError,
     UnseenError,
+    bias_per_gain,
 )
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import Minimum
@@ -69,6 +72,7 @@ from truenewton.estimation.screening.noise import (
     structure_of,
 )
 from truenewton.records.campaign import Campaign, load_temperatures
+from truenewton.statics.load import TYPICAL_GRADIENTS, leaning
 
 MAX_EFFECTS = 4  # effects at once
 MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any imbalance
@@ -444,7 +448,9 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
         actuators = (int(ids[worst % len(ids)]),)
         where = f"actuator {actuators[0]}"
     elif corrected is not None and effect.of == "load":
-        loads = campaign.loads[-(len(theta) if len(theta) < len(campaign.loads) else 0) :]
+        loads = list(campaign.loads)
+        if len(theta) < len(loads):  # under one there is none
+            del loads[int(leaning(loads).argmin())]
         where = loads[worst * len(loads) // len(theta)].name
     return Finding(
         code=effect.code,
@@ -480,30 +486,39 @@ def static_gain(fit: FittedRows) -> Derivative | None:
 
 def supported(fit: FittedRows) -> Derivative:
     """Return a support of 5 mN of each load but the first."""
-    return on_balance(fit, 5e-3 * _up(fit))
+    return on_balance(fit, 5e-3 * on_loads(fit))
 
 
 def warmer_magnets(fit: FittedRows) -> Derivative | None:
     """Return bias magnets, two each, that are 1 K warmer under each load but the first."""
     if np.isfinite(load_temperatures(fit.problem.campaign)).all():
         return None  # E_SYST has it
-    bias = float(fit.minimum.values[fit.problem.unknowns.bias])
-    return on_balance(fit, 2 * MAGNET_COEFFICIENT * bias * _up(fit))
+    return on_balance(fit, 2 * MAGNET_COEFFICIENT * fit.bias * on_loads(fit))
 
 
 def with_magnets_unsure(left: ExaminedFit) -> Minimum:
-    """Return the minimum with the error that bias magnets have if coils lose force by warming.
+    """Return the minimum with the error that bias magnets have if coils lose force under a load.
 
-    Coils that lose theta under a load may be warmer by theta / `MAGNET_COEFFICIENT`. Then the bias
-    magnets are warmer too, which only TEMPERATURE would show.
+    Coils that lose theta may be warmer by theta / `MAGNET_COEFFICIENT`. Then the bias magnets are
+    warmer too, which only TEMPERATURE would show. If the mirror leans they have moved instead, and
+    so have the bias magnets, which only COILGRAD and BIASGRAD show.
     """
-    minimum = left.minimum
-    lost = [e.size for e in left.effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
-    derivative = warmer_magnets(left.rows) if lost else None
+    minimum, fit = left.minimum, left.rows
+    lost = [e for e in left.effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
+    loads, ratio = fit.problem.campaign.loads, bias_per_gain(fit.problem.campaign)
+    if not lost:
+        return minimum
+    size, where = lost[0].size, [load.name == lost[0].where for load in loads]
+    if not (leaning(loads) & where).any():
+        derivative = warmer_magnets(fit)
+        size /= MAGNET_COEFFICIENT
+    else:
+        coil, bias = TYPICAL_GRADIENTS
+        nearer = fit.problem.n * bias / coil * on_loads(fit, where)
+        derivative = on_balance(fit, nearer) if ratio is None else None
     if derivative is None:
         return minimum
-    warmer = (lost[0] / MAGNET_COEFFICIENT) ** 2 * np.eye(derivative.count)
-    return with_error(minimum, scored(left.rows, derivative).moves, warmer)
+    return with_error(minimum, scored(fit, derivative).moves, size**2 * np.eye(derivative.count))
 
 
 def zero_by_load(fit: FittedRows) -> Derivative:
@@ -514,16 +529,12 @@ def zero_by_load(fit: FittedRows) -> Derivative:
     return derivative_of(fit, field_sums(fit, [field])[0], slice(0, len(rows)))
 
 
-def _up(fit: FittedRows) -> Array:
-    """(g, 3, L - 1) a force of 1 N in the balance under each load but the first."""
-    return np.eye(3)[None, :, :1] * fit.moments.of_load[:, None, 1:]
-
-
 # The derivative by each effect in units of its usual size; None if the error budget contains it.
 UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
     "5 mN of an added weight rests on something else": supported,
     "all force zeros shift under a load by 10 % of the noise of a reading": zero_by_load,
     "the bias magnets are 1 K warmer under a load": warmer_magnets,
+    "the coils move by 5 um as the mirror leans": shifted_coils,
     "coil gains differ by 1 % between static and elastic forces": static_gain,
 }
 

@@ -14,7 +14,7 @@ from truenewton.arrays import Array
 from truenewton.errors import Fault
 from truenewton.estimation.findings.finding import Finding
 from truenewton.records.campaign import Campaign, load_temperatures
-from truenewton.statics.load import Load
+from truenewton.statics.load import Load, change_by_coil_shift
 
 
 class NoiseSource(StrEnum):
@@ -82,6 +82,7 @@ class ErrorKind(Enum):
     TOOL = "weight of '{}'"
     ADDED = "added weight of load '{}'"
     TILT = "tilt of load '{}'"
+    COIL_SHIFT = "coil displacement under load '{}'"
     EARLIER = "earlier calibration"
     TEMPERATURE = "temperature since then"
     BETWEEN_LOADS = "temperature between the loads"
@@ -223,21 +224,50 @@ def weight_errors(campaign: Campaign) -> dict[ErrorSource, Array]:
     return {source: change for source, change in errors.items() if change.any()}
 
 
-def temperature_errors(campaign: Campaign, force: Array) -> dict[ErrorSource, Array]:
-    """Return the (L,) change of W [N] equivalent to bias magnets that are warmer under some loads.
+def errors_between_loads(campaign: Campaign, force: Array) -> dict[ErrorSource, Array]:
+    """Return (L,) changes of W [N] equivalent to bias magnets and coils that differ between loads.
 
-    Their force B, of two magnets each, changes by twice `MAGNET_COEFFICIENT`, which the balance
-    cannot distinguish from a weight. B is estimated from the loads and their (L,) mean sums of
-    commanded forces F [N]: W + B + s F = 0. Empty if a cycle has no TEMPERATURE, or all loads are
-    at the same temperature.
+    - Temperature: the bias force B, of two magnets each, changes by twice `MAGNET_COEFFICIENT`.
+      Only if all loads have TEMPERATURE, and they differ.
+    - COILZ: an error of the displacement of coils changes W as `change_by_coil_shift`.
+
+    B is estimated from the loads and their (L,) mean sums of commanded forces F [N]:
+    W + B + s F = 0.
     """
-    weights = campaign.effective_weights
-    warmth = load_temperatures(campaign)
-    if len(weights) < 2 or not np.isfinite(warmth).all() or np.ptp(warmth) < SAME_TEMPERATURE:
+    loads, weights, warmth = campaign.loads, campaign.effective_weights, load_temperatures(campaign)
+    warmed = np.isfinite(warmth).all() and np.ptp(warmth) >= SAME_TEMPERATURE
+    shifts = np.diag([load.coil_shift_error or 0.0 for load in loads])
+    if len(weights) < 2 or not (warmed or shifts.any()):
         return {}
-    bias = np.polyfit(force, -weights, 1)[1] if np.ptp(force) else 0.0
-    changes = 2 * MAGNET_COEFFICIENT * bias * (warmth - warmth.mean())
-    return {ErrorSource(ErrorKind.BETWEEN_LOADS): changes}
+    bias = float(np.polyfit(force, -weights, 1)[1]) if np.ptp(force) else 0.0
+    changes = {
+        ErrorSource(ErrorKind.COIL_SHIFT, load.name): shift * weight_by_coil_shift(campaign, bias)
+        for load, shift in zip(loads, shifts, strict=True)
+        if shift.any()
+    }
+    if warmed:
+        by_warmth = 2 * MAGNET_COEFFICIENT * bias * (warmth - warmth.mean())
+        changes[ErrorSource(ErrorKind.BETWEEN_LOADS)] = by_warmth
+    return changes
+
+
+def weight_by_coil_shift(campaign: Campaign, bias: float) -> Array:
+    """Return (L,) `change_by_coil_shift` under the loads of a campaign, with B of all magnets."""
+    layout, first = campaign.layout, campaign.cycles[0]
+    nz = float(layout.nz[layout.enabled].sum())
+    held = campaign.effective_weights + bias
+    return change_by_coil_shift(held, nz, first.coil_gradient, first.bias_gradient)
+
+
+def bias_per_gain(campaign: Campaign) -> float | None:
+    """Return BIASGRAD / COILGRAD: what a bias force gains [N] if its coil gains 1; None if unknown.
+
+    Both gain if the coils come nearer.
+    """
+    first = campaign.cycles[0]
+    if not first.coil_gradient or first.bias_gradient is None:
+        return None
+    return first.bias_gradient / first.coil_gradient
 
 
 def added_source(load: Load) -> ErrorSource:

@@ -98,9 +98,12 @@ class BalancedRows:
     a
         (3, n) arms of these.
     zero
-        (n,) readings from which displacements count [m].
+        (n,) readings from which displacements relative to the coils count [m]; of coils that have
+        shifted by COILZ, without POSITION, the shift itself.
     coil, bias
         COILGRAD [1/m] and BIASGRAD [N/m], 0 without.
+    shifted
+        Whether the coils have moved along z.
     """
 
     force: Rows
@@ -110,6 +113,7 @@ class BalancedRows:
     zero: Array
     coil: float
     bias: float
+    shifted: bool = False
 
     def read(self, rows: Selection) -> tuple[Array, Array | None]:
         """Read (m, n) forces [N] and readings [m] of some rows."""
@@ -119,10 +123,12 @@ class BalancedRows:
     def of(self, force: Array, position: Array | None) -> tuple[Array, Array | None]:
         """Return (m, n) c (1 + COILGRAD z) [N] and (m, 3) A (BIASGRAD z) of what was read.
 
-        The latter is None without position.
+        The latter is None if nothing is displaced relative to the coils.
         """
         if position is None:
-            return force, None
+            if not self.shifted:
+                return force, None
+            position = np.zeros_like(force)
         z = position - self.zero
         return force * (1.0 + self.coil * z), self.bias * z @ self.a.T
 
@@ -142,15 +148,17 @@ def balanced_rows(cycle: Cycle, a: Array, reference: Array) -> BalancedRows:
     reference
         (n,) of `common_reference` [m].
     """
-    displaced = is_displaced(cycle)
+    displaced, shift = is_displaced(cycle), cycle.load.coil_shift or 0.0
+    zero = _from_own_mean(reference, cycle) if displaced else np.zeros(a.shape[1])
     return BalancedRows(
         cycle.force,
         cycle.position if displaced else None,
         cycle.layout.enabled,
         a,
-        _from_own_mean(reference, cycle) if displaced else reference,
+        zero + shift,
         cycle.coil_gradient or 0.0,
         cycle.bias_gradient or 0.0,
+        shifted=shift != 0.0,
     )
 
 

@@ -23,7 +23,7 @@ from truenewton.estimation.findings.estimate import (
     Estimate,
     Goodness,
     NoiseSource,
-    temperature_errors,
+    errors_between_loads,
     weight_errors,
 )
 from truenewton.estimation.findings.finding import Finding
@@ -108,7 +108,7 @@ def _found(
     goodness = _goodness(fitted, stiffness)
     excess = goodness.reduced if goodness.probability < MIN_FIT_PROBABILITY else 1.0
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
-    errors = {**weight_errors(campaign), **temperature_errors(campaign, force)}
+    errors = {**weight_errors(campaign), **errors_between_loads(campaign, force)}
     problem = problem_of(campaign, noise, errors)
     shared = with_share_in_balance(problem, screened, base.values[: problem.n])
     minimum = _with_weights(problem, moments, (fitted, keep), base, excess)
