@@ -28,7 +28,7 @@ LAYOUT = tn.layout(
     [0.1, 0.2, 0.3, 0.4], [0.0, 0.1, 0.0, 0.1], nz=np.full(N, 0.9), x_error=np.full(N, 1e-4),
     y_error=np.full(N, 2e-4), id=[5, 6, 7, 8], segment=np.ones(N, dtype=int),
 )  # fmt: skip
-LOAD = tn.Load("ring", -0.3, 0.01, "A", 1.5, 0.2)
+LOAD = tn.Load("ring", -0.3, 0.01, "A", 1.5, 0.2, 1e-6, 5e-7)
 RANDOM = np.random.default_rng(1)
 ONE = tn.Cycle(
     "T", DATE, 3, LOAD, -3.0, 0.02, LAYOUT, np.arange(float(ROWS)), np.arange(1, ROWS + 1),

@@ -422,7 +422,8 @@ def test_for_a_target_it_says_what_to_change(inside, file):
     out = inside("plan", file, "--target", "0.005")[1]
     assert "to reach 0.50 %, change one of these:" in out
     assert re.search(r"balance +'ring' known to 1\.\d+ mN: 0\.\d+ %, 92 min", out)
-    assert re.search(r"tilt +a load tilted by \d+ deg, known to 0\.1 deg: 0\.\d+ %, 3\.1 h", out)
+    known = r"known to 0\.1 deg, its coils to 5 um: 0\.\d+ %, 3\.1 h"
+    assert re.search(rf"tilt +a load tilted by \d+ deg, {known}", out)
     assert "not sufficient: 999 cycles gives 1.7 %" in out
     assert "the plan reaches 2.0 %" in inside("plan", file, "--target", "0.02")[1]
 
