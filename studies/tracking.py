@@ -7,7 +7,8 @@ Law: six days at 12 to 24 deg C, k ~ N(-1.1e-3, 2e-4) / K, drift ~ N(-2e-3, 1e-3
 drawn from the COVARIANCE of one simulated P45 campaign (4 cycles), the error of the ring one and
 the same on all days. False alarms: the same. Replacement: one cycle under one load after actuator
 17 was replaced, the readings and the earlier calibration both with noise. Bounds: the inverse of
-the information on all unknowns, written down here anew.
+the information on all unknowns, written down here anew. The same by an earlier stiffness, of 20
+shapes; the sensor of actuator 17 was replaced, too.
 
 Scatter: days thirty days apart of which each actuator scatters by itself about its law, or all in
 common too, or others drift each by itself before a short run; nobody else has changed, or one by a
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 import argparse
 import datetime
+from collections import defaultdict
 from dataclasses import replace
 from unittest import mock
 
@@ -27,7 +29,7 @@ import numpy as np
 
 import truenewton as tn
 from studies.accuracy import TWO_SIGMA
-from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.bench.simulated.static import SENSOR_NOISE, run_cycles, static_bench
 from truenewton.mirrors.known import p45
 from truenewton.tracking import fit
 from truenewton.tracking.days import YEAR, covariances
@@ -323,6 +325,53 @@ def replacements(noise: float, runs: int) -> None:
     print(f"  a second change of {100 * (both[SECOND] - 1):.1f} % found, alone  {rate(found)}")
 
 
+def with_reference(noise: float, runs: int, shapes: int = 10) -> None:
+    """Print the error of the new alpha by an earlier stiffness: the campaign, or a matrix of it."""
+    mirror, ids = Mirror(noise), p45().layout.id
+    bench = static_bench(p45(), SEED, force_noise=noise)
+    softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(len(ids))
+    exact = softer / mirror.truth.alpha[:, None] * bench.sensors.gain
+    usual = np.sqrt(np.mean(exact**2))
+    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    false = []
+    for seed in range(runs):
+        random = np.random.default_rng([SEED, 9, seed])
+        known = mirror.earlier(random)
+        factor, gain = np.ones((2, len(ids)))
+        factor[REPLACED], gain[REPLACED] = 0.8, 1.01
+        references = {
+            "earlier campaign": mirror.run(np.ones(len(ids)), random),
+            "earlier matrix, 0.05 %": tn.StiffnessMatrix(
+                "P45", mirror.quiet.date, mirror.quiet.layout,
+                exact + 5e-4 * usual * random.standard_normal(exact.shape),
+            ),
+        }  # fmt: skip
+        [cycle] = mirror.run(factor, random).cycles
+        chosen = 1 + random.permutation(len(bench.shapes))[:shapes]
+        position = np.asarray(cycle.position) / gain
+        position = position + SENSOR_NOISE * random.standard_normal(position.shape)
+        valid = np.isin(cycle.shape, chosen)
+        run = tn.Campaign((replace(cycle, position=position, valid=valid),))
+        truth = known.alpha[REPLACED] * 0.8
+        for what, reference in references.items():
+            made = tn.recalibrate(run, known, [int(ids[REPLACED])], reference=reference)
+            new, c = made.calibration.alpha[REPLACED], made.calibration
+            # Beside the error that the earlier alpha has already.
+            before = 0.8 * known.statistical_error[REPLACED]
+            stated = np.sqrt(c.statistical_error[REPLACED] ** 2 - before**2)
+            found[what].append((new / truth - 1, stated / truth))
+            false.append(bool(made.moved))
+    print(
+        f"{2 * shapes} shapes, one load, by an earlier stiffness, {1e3 * noise:g} mN, {runs} runs"
+    )
+    for what, pairs in found.items():
+        off, stated = np.array(pairs).T
+        print(f"  {what:24s} RMS error of alpha {np.sqrt(np.mean(off**2)):.2g}, stated"
+              f" {np.sqrt(np.mean(stated**2)):.2g}, 95 % intervals cover"
+              f" {rate(list(np.abs(off) <= TWO_SIGMA * stated))}")  # fmt: skip
+    print(f"  others said to have moved (1 %)     {rate(false)}")
+
+
 def main() -> None:
     """Run all; 0 leaves a part out."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -340,6 +389,7 @@ def main() -> None:
         alarms(seen, options.mirrors)
     for noise in (1e-3, 1e-4) * bool(options.replacements):
         replacements(noise, options.replacements)
+        with_reference(noise, options.replacements)
     for noise, seen in ((1e-4, quiet), (1e-3, pattern)) * bool(options.scatter):
         for own, common in SCATTERS:
             scatter(seen, noise, options.scatter, own, common)

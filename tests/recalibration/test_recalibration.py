@@ -235,6 +235,78 @@ def test_what_cannot_be_recalibrated_is_refused():
     refused(RankDeficient, "disagree with", everyone, before)
 
 
+def replaced_with_sensor(random, shapes=10):
+    """Return an earlier campaign, and a run of some shapes: actuator 17 and its sensor are new."""
+    before = campaign_at(ONES, random, noise=1e-4, cycles=1)
+    [cycle] = short(replaced(), random, noise=1e-4).cycles
+    position = cycle.position / replaced((NEW, 1.01))
+    position += 7e-11 * random.standard_normal(position.shape)
+    valid = np.isin(cycle.shape, 1 + random.permutation(45)[:shapes])
+    return before, tn.Campaign((dataclasses.replace(cycle, position=position, valid=valid),))
+
+
+def test_an_earlier_stiffness_gives_the_new_alpha_from_twenty_shapes():
+    """Alpha of all as it was, but of the new one: 17 and its sensor explain all that differs."""
+    off = []
+    for seed in range(60, 72):
+        before, run = replaced_with_sensor(np.random.default_rng(seed))
+        known = pattern(1e-4)
+        made = tn.recalibrate(run, known, [17], reference=before)
+        c = made.calibration
+        assert (made.asked, made.moved, c.scale) == ((17,), (), "given")
+        assert c.alpha / known.alpha == pytest.approx(replaced(), abs=1.5e-3)
+        own = c.statistical_error[NEW] ** 2 - (0.8 * known.statistical_error[NEW]) ** 2
+        off.append((c.alpha[NEW] - 0.8 * known.alpha[NEW]) / np.sqrt(own))
+        assert np.sqrt(own) < 1e-3 * c.alpha[NEW]
+    assert 3.07 < np.sum(np.square(off)) < 28.3  # chi2 of 12 degrees, 99.5 % each way
+
+
+def test_the_reference_may_be_a_matrix_and_who_moved_is_found(inside, tmp_path):
+    from helpers.balanced import p45_bench
+
+    bench, random = p45_bench(), np.random.default_rng(80)
+    k = bench.truth.stiffness / bench.truth.alpha[:, None] * bench.sensors.gain
+    k *= 1 + 1e-4 * random.standard_normal(k.shape)
+    run = short(replaced((NEW, 0.8), (30, 1.05)), random, noise=1e-4)
+    matrix = tn.StiffnessMatrix("P45", run.cycles[0].date, run.layout, k)
+    known = pattern(1e-4)
+    made = tn.recalibrate(run, known, reference=matrix)
+    assert {one.actuator for one in made.moved} == {17, 31}
+    relative = made.calibration.alpha / known.alpha
+    assert relative == pytest.approx(replaced((NEW, 0.8), (30, 1.05)), abs=2e-3)
+    known.write(tmp_path / "alpha.fits")
+    tn.write_stiffness(matrix, tmp_path / "k.fits")
+    tn.write_campaign(run.cycles, tmp_path / "after")
+    code, out, err = inside("recalibrate", tmp_path / "after", "--known", tmp_path / "alpha.fits",
+                            "--actuators", "17", "--reference", tmp_path / "k.fits")  # fmt: skip
+    assert (code, err) == (0, "")
+    assert "MOVED" in out
+
+
+def test_a_reference_that_cannot_be_used_is_refused_in_one_line():
+    random = np.random.default_rng(81)
+    before, run = replaced_with_sensor(random)
+    known, [cycle] = pattern(1e-4), run.cycles
+
+    def refused(error, words, run, reference):
+        with pytest.raises(error, match=words):
+            tn.recalibrate(run, known, [17], reference=reference)
+
+    blind = tn.Campaign((dataclasses.replace(cycle, position=None),))
+    refused(RankDeficient, "the run lacks POSITION", blind, before)
+    refused(RankDeficient, "the earlier campaign lacks POSITION", run, blind)
+    few = tn.Campaign((dataclasses.replace(cycle, valid=cycle.shape < 3),))
+    refused(RankDeficient, "too few shapes: 4", few, before)
+    turned = random.permutation(45)
+    other = tn.StiffnessMatrix("P45", cycle.date, cycle.layout, np.diag(1.0 + turned) * 1e6)
+    refused(CampaignMismatch, "do not follow from the earlier stiffness", run, other)
+    on = np.arange(45) != NEW
+    layout, alpha = dataclasses.replace(known.layout, enabled=on), np.where(on, known.alpha, np.nan)
+    missing = dataclasses.replace(known, alpha=alpha, layout=layout)
+    with pytest.raises(RankDeficient, match="actuator 17 has no earlier alpha"):
+        tn.recalibrate(run, missing, [17], reference=before)
+
+
 @pytest.fixture
 def files(tmp_path):
     random = np.random.default_rng(15)

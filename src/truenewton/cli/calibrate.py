@@ -125,6 +125,9 @@ def run_recalibrate(
         "--actuators",
         help="IDs of the replaced actuators (17,18); auto: find what changed.",
     ),
+    reference: Path | None = typer.Option(
+        None, help="Campaign with POSITION or stiffness file from before: more precise."
+    ),
     output: Path | None = options.output("Calibration file to write."),
     segment: int | None = options.SEGMENT,
     anyway: bool = options.ANYWAY,
@@ -149,7 +152,7 @@ def run_recalibrate(
     refuse_existing(output, overwrite=overwrite)
     with busy("recalibrating"), about(paths):
         data = read_chosen(*paths, segment=segment)
-        made = recalibrate(data, known, ids, accept_rejected=anyway)
+        made = recalibrate(data, known, ids, reference=reference, accept_rejected=anyway)
         of_one = attrgetter("calibration")
         found = made.map(of_one) if has_parts(made) else of_one(made)
         calibration = usable(found, accept_rejected=anyway)

@@ -17,6 +17,7 @@ tracking does it from days (`tracking.lines`); the prior is then
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -57,7 +58,7 @@ from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive, mirrored
-from truenewton.reading import read_alpha, select_segment
+from truenewton.reading import holds_alpha, read, read_alpha, select_segment
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Source
 from truenewton.records.parts import (
@@ -67,6 +68,7 @@ from truenewton.records.parts import (
     has_parts,
     refuse_other_mirror,
 )
+from truenewton.records.reader import Measured
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.law import TRACKINGS, Tracking
@@ -75,6 +77,7 @@ from truenewton.tracking.lines import Scatter, estimate_scatter
 Known = Calibration | Tracking
 KnownOfSegments = Parts[Calibration] | Parts[Tracking]
 AnyKnown = Known | KnownOfSegments | str | os.PathLike[str]
+AnyReference = Measured | str | os.PathLike[str]
 EARLIER = ErrorSource(ErrorKind.EARLIER)
 
 
@@ -137,11 +140,16 @@ def prior_from(
     return PriorCalibration(name, alpha, covariance, scale, uneven, temperature, verdict, **further)
 
 
-def known_for(known: AnyKnown, run: Campaign | InParts[Any]) -> tuple[str, Any]:
-    """Return the name and the earlier calibration for a run, of one body or of all segments."""
-    name, given = "the earlier calibration", known
+def known_for(
+    known: Any, run: Campaign | InParts[Any], reader: Callable[[Any], Any] | None = None
+) -> tuple[str, Any]:
+    """Return the name and what is known from before a run, of one body or of all segments.
+
+    Paths are read by ``reader``, by default as an earlier calibration.
+    """
+    name, given = "what is known from before", known
     if isinstance(known, str | os.PathLike):
-        name, given = os.fspath(known), read_known(known)
+        name, given = os.fspath(known), (reader or read_known)(known)
     if has_parts(run) and not has_parts(given):
         raise FormatError(
             f"is of one body, and the run has {len(run.numbers)} segments",
@@ -151,7 +159,7 @@ def known_for(known: AnyKnown, run: Campaign | InParts[Any]) -> tuple[str, Any]:
     if has_parts(given) and not has_parts(run):
         segment = run.layout.segment
         given = select_segment(given, None if segment is None else int(segment[0]), name)
-    refuse_other_mirror(given, run, "the run", name, "give the calibration of the same mirror")
+    refuse_other_mirror(given, run, "the run", name, "give that of the same mirror")
     return name, given
 
 
@@ -163,6 +171,18 @@ def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
             law: Tracking | Parts[Tracking] = body_or_parts_from(file, TRACKINGS)
             return law
     return read_alpha(path)
+
+
+def read_reference(path: str | os.PathLike[str]) -> Any:
+    """Read a campaign or a stiffness matrix, of one body or of several segments."""
+    given = read(path)
+    if holds_alpha(given):
+        raise FormatError(
+            "is a calibration, not a campaign or a stiffness matrix",
+            remedy="give the data from before the change as the reference",
+            path=path,
+        )
+    return given
 
 
 def _verdict_on_days(tracking: Tracking, *, accept_rejected: bool, path: str) -> Verdict:

@@ -144,7 +144,7 @@ def regressed(
     spare = moments.groups - len(moments.loads) - n
     noise, freedom = np.diag(variance), float(max(moments.repeats, 1) * n)
     if spare >= MIN_SPARE_SHAPES * n:
-        noise = _noise(force - z @ stiffness.T, stiffness, variance, spare)
+        noise = noise_of_rows(force - z @ stiffness.T, stiffness, variance, spare)
         freedom = float(spare * n)
     mean = (of_load.sum(axis=0) / of_load.sum()) @ rest
     return Regressed(stiffness, square, noise, freedom, bias_gradient, coil_gradient * mean)
@@ -162,7 +162,7 @@ def refuse_unheld(square: Array) -> None:
         )
 
 
-def _noise(left: Array, stiffness: Array, variance: Array, spare: int) -> Array:
+def noise_of_rows(left: Array, stiffness: Array, variance: Array, spare: float) -> Array:
     """Return (n, n) N_c from the (g, n) residuals of the regression."""
     vectors, values, _ = singular_values_and_vectors(stiffness)
     found = np.sum((left @ vectors) ** 2, axis=0) / spare
