@@ -239,6 +239,9 @@ class Fitted:
     weights: Weights
 
 
+BLOCK_ACTUATORS = 32  # at once, so that their products stay in the cache
+
+
 def information(
     point: Point, before: Fitted | None = None, *, single: bool = False
 ) -> tuple[Array, Leverage | None]:
@@ -252,14 +255,12 @@ def information(
         point, total = in_single(point), to_single(total)
     bins = len(point.weights.bins)
     taken = Leverage(np.zeros((3, bins)), np.zeros((bins, 3)), np.zeros((bins, bins)))
-    size = 32  # actuators at once, so that their products stay in the cache
-    blocks = range(0, n if point.weights.reciprocity.any() else 0, size)
+    blocks = range(0, n if point.weights.reciprocity.any() else 0, BLOCK_ACTUATORS)
 
     def add(starts: range) -> list[Array]:
         # Allocation is slow: each thread has its own memory, once.
-        room = np.empty((4 + 4 * len(kinds), bins, size * n), total.dtype)
-        some = (slice(start, start + size) for start in starts)
-        return [_add_reciprocity(total, point, rows, before, room) for rows in some]
+        room = np.empty((5 + 4 * len(kinds), bins * BLOCK_ACTUATORS * n), total.dtype)
+        return [_add_reciprocity(total, point, start, before, room) for start in starts]
 
     if blocks:
         count = min(thread_count(), 4, len(blocks))  # each needs some tens of megabytes
@@ -268,6 +269,10 @@ def information(
             for k, each in enumerate(pool.map(add, (blocks[k::count] for k in range(count)))):
                 parts[k::count] = each
         taken.reciprocity[:] = parts.sum(axis=0)
+        by_kind = total.reshape(len(kinds), n, len(kinds), n)
+        for i, j in itertools.combinations_with_replacement(range(len(kinds)), 2):
+            above, below = by_kind[i, :, j], by_kind[j, :, i]
+            above[:] = np.triu(above) + np.tril(below.T, -1)
     _add_statics(total, point, before, taken)
     _add_rigid(total, point, before, taken)
     for k in range(1, len(kinds)):
@@ -292,48 +297,51 @@ def in_single(point: Point) -> Point:
 
 
 def _add_reciprocity(
-    total: Array, point: Point, some: slice, before: Fitted | None, room: Array
+    total: Array, point: Point, start: int, before: Fitted | None, room: Array
 ) -> Array:
-    """Add sums over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)] to some rows.
+    """Add sums over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)] to the rows from ``start``.
 
-    Only blocks of the upper triangle are filled. All kinds of unknowns of the sensors share one q.
-    Returns the (b, b) part of the `Leverage` of these rows.
+    For every pair of kinds, but only columns from ``start`` on: the information is symmetric. All
+    kinds of unknowns of the sensors share one q. Returns the (b, b) part of the `Leverage` of these
+    elements and their counterparts.
     """
     weights, designs = point.weights, [*point.designs.values()]
-    w, bins, n = weights.reciprocity, len(weights.bins), designs[0].p.shape[1]
-    w = w.astype(total.dtype)
+    bins, n = len(weights.bins), designs[0].p.shape[1]
+    w = weights.reciprocity.astype(total.dtype)
+    some, rest = slice(start, start + BLOCK_ACTUATORS), slice(start, n)
+    count = len(range(*some.indices(n))) * (n - start)
     forces = list({id(design.q): design.q for design in designs}.values())
     of = [next(k for k, q in enumerate(forces) if q is design.q) for design in designs]
-    spare = iter(room[:, :, : len(range(*some.indices(n))) * n])
+    spare = iter(room[:, : bins * count].reshape(-1, bins, count))
 
     def grams(left: Array, right: Array, out: Array | None = None) -> Array:
         out = next(spare) if out is None else out
         for each, k in zip(out, weights.bins, strict=True):
-            np.matmul(left[k, some].T, right[k], out=each.reshape(-1, n))
+            np.matmul(left[k, some].T, right[k, rest], out=each.reshape(-1, n - start))
         return out
 
     pp = next(spare)
-    qq = {(a, b): grams(q, forces[b]) for a, q in enumerate(forces) for b in range(a, len(forces))}
+    qq = [[grams(q, other) for other in forces] for q in forces]
     pq = [[grams(design.p, q) for q in forces] for design in designs]
     qp = [[grams(q, design.p) for q in forces] for design in designs]
-    weighed_qq = {pair: w @ each for pair, each in qq.items()}
-    weighed_qp = [[w @ each for each in row] for row in qp]
+    weighed_qq, weighed_qp = ([[w @ each for each in row] for row in rows] for rows in (qq, qp))
     taken = np.zeros((bins, bins))
-    for i, one in enumerate(designs):
-        for j, other in enumerate(designs[i:], i):
-            rows, columns = slice(i * n, (i + 1) * n), slice(j * n, (j + 1) * n)
-            grams(one.p, other.p, pp)
-            both = np.einsum("ak,ak->k", pp, weighed_qq[of[i], of[j]])
-            both -= np.einsum("ak,ak->k", pq[i][of[j]], weighed_qp[j][of[i]])
-            total[rows, columns][some] += both.reshape(-1, n)
-            if before is not None:
-                c = before.covariance[rows, columns][some].ravel()
-                pp *= c
-                each = pp @ qq[of[i], of[j]].T - (pq[i][of[j]] * c) @ qp[j][of[i]].T
-                each *= before.weights.reciprocity * (1 + (i != j))
-                each = each + each.T
-                each[np.diag_indices(bins)] *= 0.5
-                taken += each
+    for (i, one), (j, other) in itertools.product(enumerate(designs), repeat=2):
+        rows, columns = slice(i * n, (i + 1) * n), slice(j * n, (j + 1) * n)
+        grams(one.p, other.p, pp)
+        both = np.einsum("ak,ak->k", pp, weighed_qq[of[i]][of[j]])
+        both -= np.einsum("ak,ak->k", pq[i][of[j]], weighed_qp[j][of[i]])
+        total[rows, columns][some, rest] += both.reshape(-1, n - start)
+        if before is not None:
+            c = before.covariance[rows, columns][some, rest].copy()
+            c[:, BLOCK_ACTUATORS:] *= 2.0  # for their counterparts in the lower triangle
+            c = c.ravel()
+            pp *= c
+            taken += pp @ qq[of[i]][of[j]].T - (pq[i][of[j]] * c) @ qp[j][of[i]].T
+    if before is not None:
+        taken *= before.weights.reciprocity
+        taken += taken.T
+        taken[np.diag_indices(bins)] *= 0.5
     return taken
 
 

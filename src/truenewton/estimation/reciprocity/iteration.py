@@ -117,12 +117,13 @@ def fit(
     values = at_nominal(places.n) if start is None else start
     n, before = places.n, None
     size = last = np.inf
-    paces = dict[str, float]()
+    paces, single = dict[str, float](), True
     for step in range(MAX_STEPS):
         point = point_at(places, values, asked, states_at)
         known = asked.information(n)
         if not (fixed and step and size < 0.25 * last):  # a kept factor serves while steps shorten
-            covariance, leverage = _covariance(point, asked, known, before, single=True)
+            covariance, leverage = _covariance(point, asked, known, before, single=single)
+            single = covariance.dtype == np.float32  # where that fails once, it does again
         before = None if fixed else Fitted(covariance, point.weights)
         if leverage is not None and told is not None:
             told(leverage)
@@ -134,7 +135,7 @@ def fit(
         move = move * min(1.0, 0.3 / max(float(np.abs(logs).max()), 1e-300))
         values = asked.moved(values, move)
         if settled:
-            if not fixed:
+            if single and not fixed:
                 before, covariance = None, np.empty(0)  # their memory is needed
                 covariance, _ = _covariance(point, asked, known, single=False)
             return _fit(values, asked, covariance, point, leverage)

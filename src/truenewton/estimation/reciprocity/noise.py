@@ -216,8 +216,8 @@ def _likeliest(
     own, mean = alpha[:, None] ** 2, float(np.mean(stiffness**2))
     least, share = 1e-24 * mean, 1e-6  # so that logarithms stay bounded
     alone = np.count_nonzero(mixed) == n  # each sensor sees its own magnet alone
-    laws = np.stack([np.broadcast_to(own, stiffness.shape), own * stiffness**2 / mean])
-    moved, pairs = _by_offsets(true @ seen.motion, fit, seen), ~np.eye(n, dtype=bool)
+    proportional, moved = own * stiffness**2 / mean, _by_offsets(true @ seen.motion, fit, seen)
+    off = bool(moved.any())
 
     def by_mixing(each: Array, mixed: Array) -> Array:
         return np.asarray(each * np.diag(mixed) if alone else each @ mixed)
@@ -225,17 +225,24 @@ def _likeliest(
     def stepped(logs: Array) -> tuple[Array, float]:
         """Return the logarithms of a^2, p^2, the offsets' part and c after a step; their cost."""
         size, offsets, sensor = np.exp(logs[:2]), float(np.exp(logs[2])), np.exp(logs[3:])
-        each = np.tensordot(size, laws, 1)
-        total = by_mixing(each * sensor, mixed) + offsets * moved
+        each = size[0] * own + size[1] * proportional
+        total = by_mixing(each * sensor, mixed)
+        if off:
+            total += offsets * moved
         total = total + total.T
-        np.fill_diagonal(total, np.inf)  # nothing is its own transpose
+        np.fill_diagonal(total, 1.0)
         had = 1.0 / total
+        np.fill_diagonal(had, 0.0)  # nothing is its own transpose
         square = _without_factors(apart, whole, had) / left
-        cost = float(np.mean(np.log(total[pairs]) + (square * had)[pairs]))
-        wanted = square * had**2
-        by_offsets = np.sum(moved * wanted) / np.sum(moved * had) if moved.any() else 1.0
+        wanted = square * had
+        cost = float(np.sum(np.log(total)) + np.sum(wanted)) / (n * (n - 1))
+        wanted *= had
+        by_offsets = np.sum(moved * wanted) / np.sum(moved * had) if off else 1.0
         wanted, had = by_mixing(wanted, mixed.T), by_mixing(had, mixed.T)
-        told, expected = (np.sum(laws * (sensor * part), axis=(1, 2)) for part in (wanted, had))
+        told, expected = (
+            np.array([own[:, 0] @ part @ sensor, np.sum((proportional * part) @ sensor)])
+            for part in (wanted, had)
+        )
         size = size * np.sqrt(told / expected)
         size = np.maximum(size, max(least, share * size.max()))
         counted = sensor * np.sum(each * had, axis=0) + PRIOR_RESIDUALS
@@ -330,7 +337,7 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> MatrixNoise:
     if cost > cost_of_modes(fit):
         return MatrixNoise(None)
     n = len(variance)
-    drawn = scores(fit, variance)
+    drawn = scores([fit], variance)[0]
     by_noise = -drawn @ fit.covariance
     unit = np.random.default_rng(DRAW_SEED).standard_normal(by_noise.shape)
     known = fit.asked.information(n)
@@ -348,31 +355,47 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> MatrixNoise:
     return MatrixNoise(variance, (scatter[0], scatter[1]), drawn)
 
 
-def scores(fit: Fit, variance: Array) -> Array:
-    """Return (draws, u) scores of a fit for noise whose elements have (n, n) variance.
+def scores(fits: Sequence[Fit], variance: Array) -> list[Array]:
+    """Return (draws, u) scores of some fits for noise whose elements have (n, n) variance.
 
-    In single precision, as they are random.
+    In single precision, as they are random; the noise is the same for all.
     """
-    n, point = len(variance), in_single(fit.point)
-    random, states, alpha = (
-        np.random.default_rng(DRAW_SEED),
-        fit.point.states,
-        fit.values.alpha[:, None],
-    )
-    symmetric = bool(point.weights.reciprocity.any())
-    used = states.forces / alpha  # rigid motions are judged by the forces of the modes alone
-    used = used / np.linalg.norm(used, axis=0)
-    size, w = alpha * np.sqrt(variance), states.displacements
-    readings, displacements = to_single(states.readings), to_single(w)
-    found = []
+    random, n, root = np.random.default_rng(DRAW_SEED), len(variance), np.sqrt(variance)
+    draws = [_Scores(fit) for fit in fits]
+    found = [list[Array]() for _ in fits]
     for _ in range(int(np.clip(1e9 / n**3, 50, MAX_DRAWS))):
-        noise = size * random.standard_normal(size.shape)
-        pushed = to_single(noise) @ readings
-        rigid = alpha * (used @ (used.T @ ((noise @ states.rigid_readings) / alpha)))
-        work = displacements.T @ pushed if symmetric else np.zeros((0, 0))
-        left = Residuals(states.rigid.T @ pushed, w.T @ rigid, work)
-        found.append(score(replace(point, left=left)))
-    return np.array(found)
+        noise = root * random.standard_normal(root.shape)
+        for draw, several in zip(draws, found, strict=True):
+            several.append(draw.score_of(noise))
+    return list(map(np.array, found))
+
+
+class _Scores:
+    """Scores of a fit for noise of the elements."""
+
+    def __init__(self, fit: Fit) -> None:
+        self.states, self.alpha = fit.point.states, fit.values.alpha[:, None]
+        weights = fit.point.weights
+        self.symmetric = bool(weights.reciprocity.any())
+        if self.symmetric:
+            weights = replace(weights, exact=to_single(weights.of_pairs))
+        self.point = replace(in_single(fit.point), weights=weights)
+        # rigid motions are judged by the forces of the modes alone
+        used = self.states.forces / self.alpha
+        self.used = used / np.linalg.norm(used, axis=0)
+        self.readings = to_single(self.states.readings)
+        self.displacements = to_single(self.states.displacements)
+
+    def score_of(self, noise: Array) -> Array:
+        """Return the (u,) score for (n, n) noise of the commanded stiffness."""
+        states, pushed = self.states, self.alpha * noise
+        statics = states.rigid.T @ pushed @ states.readings
+        rigid = self.used @ (self.used.T @ (noise @ states.rigid_readings))
+        rigid = states.displacements.T @ (self.alpha * rigid)
+        work = np.zeros((0, 0))
+        if self.symmetric:
+            work = self.displacements.T @ (to_single(pushed) @ self.readings)
+        return score(replace(self.point, left=Residuals(statics, rigid, work)))
 
 
 def errors(fit: Fit, noise: MatrixNoise, by_noise: Array) -> Array:
@@ -428,7 +451,8 @@ def drawn_differences(fits: Sequence[Fit], noise: MatrixNoise) -> Array:
         unit = np.random.default_rng(DRAW_SEED).standard_normal((MAX_DRAWS, factor.shape[1]))
         return np.asarray(unit @ factor.T)
     n = len(noise.variance)
-    one, other = (errors(fit, noise, scores(fit, noise.variance))[:, :n] for fit in fits)
+    drawn = zip(fits, scores(fits, noise.variance), strict=True)
+    one, other = (errors(fit, noise, each)[:, :n] for fit, each in drawn)
     return np.asarray(one - other)
 
 
