@@ -68,7 +68,7 @@ def counted(count: int | Sized, noun: str, plural: str = "") -> str:
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
 
-def listed(names: Iterable[object], most: int) -> str:
+def listed(names: Iterable[object], most: int = 10) -> str:
     """Return the first names of a list, and how many more there are, as '1, 2 and 3 more'."""
     every = list(map(str, names))
     if len(every) > most:
@@ -93,7 +93,7 @@ def numbered(noun: str, numbers: Sequence[int]) -> str:
     return f"{noun if len(numbers) == 1 else f'{noun}s'} {', '.join(said)}"
 
 
-def named(noun: str, names: Sequence[object], most: int) -> str:
+def named(noun: str, names: Sequence[object], most: int = 10) -> str:
     """Return a noun with names, as 'actuators 3, 5 and 8'."""
     return f"{noun if len(names) == 1 else f'{noun}s'} {listed(names, most)}"
 

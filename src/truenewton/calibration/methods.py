@@ -26,7 +26,7 @@ from truenewton.errors import (
     located,
 )
 from truenewton.estimation import campaign_ml
-from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import Estimate, EstimateFacts, typical
 from truenewton.estimation.findings.finding import Finding, distinct
 from truenewton.estimation.matrix import modes as matrix_modes
@@ -41,7 +41,6 @@ from truenewton.estimation.readings.repeats import RowReader
 from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.acceptance import advising_ml, doubts, failed, instead
-from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY
 from truenewton.estimation.screening.screen import (
     ScreenedCampaign,
     campaign_moments,
@@ -90,7 +89,7 @@ def _svd_of_cycles(screened: ScreenedCampaign, _: Options) -> Estimate:
         warnings += (Finding.of(Code.SVD_USES_ALL_ROWS, count=len(judged.rejected_rows)),)
     diagnosis = replace(found.diagnosis, warnings=warnings)
     fit = judged.goodness  # of `ml`: stated if no alpha balances the data
-    goodness = fit if fit is not None and fit.probability < MIN_FIT_PROBABILITY else None
+    goodness = fit if fit is not None and fit.probability < LIMITS.fit_probability else None
     return replace(found, effects=effects, diagnosis=diagnosis, goodness=goodness)
 
 

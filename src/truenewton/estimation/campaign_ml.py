@@ -32,7 +32,7 @@ from truenewton.estimation.effects.examination import (
     with_magnets_unsure,
     with_positions_unsure,
 )
-from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
     Diagnosis,
     Estimate,
@@ -78,7 +78,7 @@ from truenewton.estimation.problem import (
 )
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.readings.rows import WEIGHED_NOISE
-from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
+from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, refuse_too_many
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
@@ -148,7 +148,7 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
     balances = (
         bool(belongs.all())
         and problem.noise.source != NoiseSource.MINIMUM
-        and ExaminedFit(problem, moments, minimum).probability > MIN_FIT_PROBABILITY
+        and ExaminedFit(problem, moments, minimum).probability > LIMITS.fit_probability
     )
     if not balances:
         suspects = suspects.where_nothing_balances(free, moments)

@@ -46,7 +46,7 @@ from truenewton.estimation.paper.identifiability import centred_means, refuse
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.readings.rows import WEIGHED_NOISE, is_displaced
-from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, Noise
+from truenewton.estimation.screening.noise import Noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, naming, still_sensors
 from truenewton.linalg import ROWS_AT_ONCE, assignment, asymmetry
 from truenewton.records.campaign import Campaign, mean_temperature
@@ -244,7 +244,7 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]
     """
     (probability, chi2), layout = _fit(problem, moments), problem.campaign.layout
     unknown = problem.noise.source == NoiseSource.MINIMUM
-    if not unknown and probability > MIN_FIT_PROBABILITY:
+    if not unknown and probability > LIMITS.fit_probability:
         return ()  # single rows lie far, no more
     seen = _homogeneous(problem, moments)
     if seen is None:
@@ -271,7 +271,7 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]
         if not moved.size:
             continue
         there = _fit(problem, moments, places)
-        if there[1] < MAX_CHI2_RATIO * chi2 if unknown else there[0] > MIN_FIT_PROBABILITY:
+        if there[1] < MAX_CHI2_RATIO * chi2 if unknown else there[0] > LIMITS.fit_probability:
             remedy = "command one of them alone: if another responds, exchange the cables and"
             remedy += " measure again; otherwise exchange the columns of FORCE"
             few = moved.size <= MAX_NAMED_ACTUATORS

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, chi2_isf, chi2_ppf, chi2_sf
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.findings.estimate import (
     NoiseSource,
     RejectedRow,
@@ -40,7 +41,7 @@ from truenewton.estimation.paper.equations import (
 )
 from truenewton.estimation.readings.moments import Moments, chosen_groups
 from truenewton.estimation.readings.rows import row_groups
-from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, Noise
+from truenewton.estimation.screening.noise import Noise
 from truenewton.estimation.screening.screen import FAR_OUT_FACTOR, ScreenedCampaign, refuse_too_many
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
@@ -236,7 +237,7 @@ def _accidents(belongs: NDArray[np.bool_], moments: Moments, fitted: Fitted) -> 
     if problem.noise.source == NoiseSource.MINIMUM:
         return bool(few)
     freedom = problem.degrees_of_freedom(chosen_groups(moments, belongs))
-    return bool(few) and float(chi2_sf(minimum.chi2, max(freedom, 1))) > MIN_FIT_PROBABILITY
+    return bool(few) and float(chi2_sf(minimum.chi2, max(freedom, 1))) > LIMITS.fit_probability
 
 
 def _within(

@@ -29,8 +29,9 @@ from truenewton.estimation.effects.derivative import (
     variance_at_least,
 )
 from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.problem import problem_of
-from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
+from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
 from truenewton.linalg import mirrored
 from truenewton.mirrors.known import p45
@@ -555,7 +556,9 @@ def test_a_force_that_does_not_turn_with_the_displacement_is_named_with_its_actu
     assert found.error.mean() > calibrate(SmallBench([1, 10], SIGMA).campaign()).error.mean()
     wrong = correction(fit_of(bench.campaign(), pooled=True), OF["positions"])
     freedom = wrong.problem.degrees_of_freedom(wrong.moments) - wrong.effective_parameters
-    assert chi2_probability(wrong.minimum.chi2, freedom, wrong.problem.noise) < MIN_FIT_PROBABILITY
+    assert (
+        chi2_probability(wrong.minimum.chi2, freedom, wrong.problem.noise) < LIMITS.fit_probability
+    )
 
 
 def test_no_force_is_seen_on_clean_campaigns():
@@ -601,7 +604,7 @@ def test_an_effect_named_but_not_corrected_adds_its_shift_to_the_error():
     """A weight that is wrong, under three loads: E_STAT is no hundred times what alpha is off."""
     bench, _ = bench_with("weight of a load", 1, noise=1e-4)
     found = calibrate(bench.campaign())
-    assert found.goodness.probability < MIN_FIT_PROBABILITY
+    assert found.goodness.probability < LIMITS.fit_probability
     off = np.abs(found.alpha / bench.alpha - 1)
     assert np.mean(off < 1.96 * found.error / bench.alpha) > 0.9
     assert np.median(found.error / bench.alpha) < 5 * np.median(off)

@@ -33,7 +33,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, chance_of_any, f_logsf
@@ -52,6 +51,7 @@ from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import independent_readings, reading_noise
+from truenewton.linalg import inverse_of_positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,10 +202,9 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     for _ in range(30):
         information = result.information + np.eye(len(theta)) / tau2
         try:  # an effect without any size does not converge
-            factor = scipy.linalg.cho_factor(0.5 * (information + information.T))
+            inverse = inverse_of_positive(0.5 * (information + information.T), overwrite=True)
         except np.linalg.LinAlgError:
             return None
-        inverse = scipy.linalg.cho_solve(factor, np.eye(len(theta)))
         uphill = result.score + theta / tau2
         effective_parameters = float(np.sum(1.0 - np.diag(inverse) / tau2))
         # Theta has converged if its step is below 0.01 standard errors.

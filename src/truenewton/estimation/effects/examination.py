@@ -52,7 +52,7 @@ from truenewton.estimation.effects.correction import (
 )
 from truenewton.estimation.effects.derivative import Derivative, FittedRows, Some, scored
 from truenewton.estimation.effects.fields import Field, derivative_of, field_sums
-from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
     MAGNET_COEFFICIENT,
     NEGLIGIBLE_SCALE_ERROR,
@@ -66,7 +66,6 @@ from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import (
-    MIN_FIT_PROBABILITY,
     Noise,
     Structure,
     structure_of,
@@ -128,14 +127,14 @@ class ExaminedFit:
     @cached_property
     def too_well(self) -> bool:
         """Whether the shapes balance better than expected of their noise."""
-        return self.freedom > 0 and self.probability > 1.0 - MIN_FIT_PROBABILITY
+        return self.freedom > 0 and self.probability > 1.0 - LIMITS.fit_probability
 
     @cached_property
     def fits(self) -> bool:
         """Whether both the balance and the repetition of shapes fit."""
-        repeated = self.structure is None or self.structure.probability > MIN_FIT_PROBABILITY
+        repeated = self.structure is None or self.structure.probability > LIMITS.fit_probability
         return (
-            self.probability > MIN_FIT_PROBABILITY
+            self.probability > LIMITS.fit_probability
             and repeated
             and (self.correlated or not self.too_well)
         )

@@ -15,7 +15,6 @@ from truenewton.files.format import attributes
 from truenewton.rounding import counted, listed, named, numbered, percent
 from truenewton.statics.layout import Layout
 
-MAX_NAMES = 10  # of actuators or files in a sentence
 MAX_NAMED_ACTUATORS = 4  # that are named one by one in the place of a finding
 
 
@@ -34,11 +33,11 @@ class Words(string.Formatter):
         if kind == "count":
             return counted(value, noun)
         if kind == "names":
-            return named(noun, value, MAX_NAMES)
+            return named(noun, value)
         if kind == "numbers":
             return numbered(noun, value)
         if kind == "list":
-            return listed(value, MAX_NAMES)
+            return listed(value)
         if kind == "sign":
             return noun.split("/")[int(value <= 0.0)]
         return str(super().format_field(value, format_spec))

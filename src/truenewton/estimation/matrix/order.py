@@ -112,10 +112,10 @@ def _likeness(
     return float(np.sum(np.abs(np.sum(r * c, axis=1)) / np.maximum(sizes, 1e-300)))
 
 
-def order_effects(facts: MatrixFacts, layout: Layout, *, named: bool) -> Iterator[Finding]:
+def order_effects(facts: MatrixFacts, layout: Layout) -> Iterator[Finding]:
     """Yield that the coordinates are in another order than the matrix, or that forces are missing.
 
-    ``named``: only if the true order is identified, which a few bad actuators cannot simulate.
+    If the true order is identified, which a few bad actuators cannot simulate, it is the detail.
     """
     x, y, on = layout.x, layout.y, layout.enabled
 
@@ -129,7 +129,7 @@ def order_effects(facts: MatrixFacts, layout: Layout, *, named: bool) -> Iterato
     least, name = min(orders, default=(np.inf, ""))
     told = least * MIN_COST_RATIO < size
     unit = "of the force that any displacement costs, to move it rigidly"
-    if told or (not named and size > MAX_RIGID_COST):
+    if told or size > MAX_RIGID_COST:
         share = share_by_distance(facts.stiffness, facts.arms)
         if told or not share > MIN_EXPLAINED_COUPLING:
             yield Finding(

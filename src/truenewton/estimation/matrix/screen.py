@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.code import LIMITS, Code
-from truenewton.estimation.findings.finding import MAX_NAMES, Finding
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.couplings import (
     ELSEWHERE,
     MIN_JUDGED_ACTUATORS,
@@ -76,7 +76,8 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     k, a = facts.stiffness, facts.arms
     refuse_no_stiffness(k)
     refuse_compliance(facts, matrix.layout)
-    disorder = (*order_effects(facts, matrix.layout, named=True), *balance_effects(facts))
+    of_order = tuple(order_effects(facts, matrix.layout))
+    disorder = (*(each for each in of_order if each.detail), *balance_effects(facts))
     if disorder:  # whoever stands where is then no matter of single actuators
         n = len(k)
         return ScreenedMatrix(matrix, facts, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
@@ -105,6 +106,7 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     if not good.all():
         screened = freed(matrix, good, core)
         facts = MatrixFacts.of(screened)
+        of_order = tuple(order_effects(facts, screened.layout))
     start = np.exp(np.clip(facts.pair_ratios[0], -1.0, 1.0)) if len(core) else np.ones(0)
     some_off = bool(off.any() and good.any())
     pushing = some_off and not _balanced_about(core, a, good, off, start)
@@ -128,7 +130,7 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
         (*unsure, *_warnings(ids, off, bad, pushing=pushing)),
         (
             *_effects(matrix.layout, a, off, bad),
-            *order_effects(facts, screened.layout, named=False),
+            *of_order,
             *orientation_effects(facts),
         ),
     )
@@ -261,7 +263,7 @@ def _effects(
         yield Finding(
             code=Code.ACTUATOR_MISFIT,
             detail=f"{reason}, up to {far:.2g} m off" if elsewhere else reason,
-            where=named("actuator", names, MAX_NAMES),
+            where=named("actuator", names),
             actuators=tuple(names),
             size=far,
             corrected=True,
@@ -273,7 +275,7 @@ def _effects(
     if off.any():
         yield Finding(
             code=Code.ACTUATOR_OFF,
-            where=named("actuator", ids[off].tolist(), MAX_NAMES),
+            where=named("actuator", ids[off].tolist()),
             actuators=tuple(ids[off].tolist()),
             corrected=True,
             remedy="set ENABLED to F if it was off; its alpha is not calibrated",

@@ -94,7 +94,8 @@ def system_c(
 ) -> tuple[Array, Array]:
     """Return C (3 N, n) and p (3 N,) of the paper's eq. 3, with C alpha = p, B and torques known.
 
-    From (N, n) commanded forces c [N], (3, n) arms, P and B [N], M_y and M_x [N m].
+    From (N, n) commanded forces c [N], (3, n) arms, W (P of the bare mirror) and B [N], M_y and M_x
+    [N m].
     """
     p = np.repeat(external_load(weight, bias_force, torque_y, torque_x), len(force))
     return -balance_rows(force, a), p

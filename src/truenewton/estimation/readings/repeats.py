@@ -155,7 +155,7 @@ class RepeatSums:
                 square[at] += part.weight * part.hour**2
         zero, gain = np.zeros((2, files + 1, n))
         for k, sums in self._by_file.items():
-            zero[k], gain[k] = sums  # those by hour are the last, as `HOURS` is
+            zero[k], gain[k] = sums  # those by hour are the last
         weight, hours, square = weight[:, turn], hours[:, turn], square[turn]
         return WithinGroups(weight, hours, square, self._mean, zero, gain)
 

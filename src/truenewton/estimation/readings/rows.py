@@ -422,11 +422,9 @@ def group_blocks(layers: Sequence[FileRows], groups: int, n: int) -> list[GroupB
 # -- sums of a block ------------------------------------------------------------------------------
 
 
-HOURS = -1  # key of the sums by hour among those by file
-
 FileSums = dict[int, Array]
-"""By file and under `HOURS` (2, n) sums over rows, weighted, of (c - c_mean) [N] and the same times
-c_mean; under `HOURS` times the hour."""
+"""By file (2, n) sums over rows, weighted, of (c - c_mean) [N] and the same times c_mean; under -1,
+the last, of all files and times the hour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -548,7 +546,7 @@ def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSum
     mean, known = _means(block, read)
     n = mean.shape[1]
     scatter, furthest, sample = np.zeros(n), np.zeros(n), []
-    by_file = {HOURS: np.zeros((2, n))}
+    by_file = {-1: np.zeros((2, n))}
     for part, force, _, _ in reversed(read):  # the last are in the cache still
         factor = block.distance_factor(part.weight)
         apart = force - mean[part.group]
@@ -558,7 +556,7 @@ def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSum
         ones = np.ones(len(apart))
         for k, values in enumerate((apart, apart * mean[part.group])):
             of_file[k] += part.weight * (ones @ values)
-            by_file[HOURS][k] += part.weight * (part.hour @ values)  # both at once take longer
+            by_file[-1][k] += part.weight * (part.hour @ values)  # both at once take longer
         apart *= apart
         scatter += part.weight * (ones @ apart)
         if not (factor == factor[0]).all():

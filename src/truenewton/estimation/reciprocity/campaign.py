@@ -18,7 +18,7 @@ from truenewton.chance import f_sf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation import campaign_ml
 from truenewton.estimation.checks import refusal_naming
-from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
     Estimate,
     Goodness,
@@ -47,7 +47,7 @@ from truenewton.estimation.reciprocity.sensor_model import (
     at_nominal,
     places_of,
 )
-from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
+from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 
 METHOD = "reciprocity"
@@ -106,7 +106,7 @@ def _found(
     start = replace(at_nominal(places.n), log_alpha=log_alpha - log_alpha.mean())
     fitted = fit(places, START_REQUEST, stiffness.states, start=start)
     goodness = _goodness(fitted, stiffness)
-    excess = goodness.reduced if goodness.probability < MIN_FIT_PROBABILITY else 1.0
+    excess = goodness.reduced if goodness.probability < LIMITS.fit_probability else 1.0
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(campaign), **errors_between_loads(campaign, force)}
     problem = problem_of(campaign, noise, errors)

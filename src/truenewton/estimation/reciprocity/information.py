@@ -239,9 +239,6 @@ class Fitted:
     weights: Weights
 
 
-BLOCK_ACTUATORS = 32  # at once, so that their products stay in the cache
-
-
 def information(
     point: Point, before: Fitted | None = None, *, single: bool = False
 ) -> tuple[Array, Leverage | None]:
@@ -255,12 +252,14 @@ def information(
         point, total = in_single(point), to_single(total)
     bins = len(point.weights.bins)
     taken = Leverage(np.zeros((3, bins)), np.zeros((bins, 3)), np.zeros((bins, bins)))
-    blocks = range(0, n if point.weights.reciprocity.any() else 0, BLOCK_ACTUATORS)
+    size = 32  # actuators at once, so that their products stay in the cache
+    blocks = range(0, n if point.weights.reciprocity.any() else 0, size)
 
     def add(starts: range) -> list[Array]:
         # Allocation is slow: each thread has its own memory, once.
-        room = np.empty((5 + 4 * len(kinds), bins * BLOCK_ACTUATORS * n), total.dtype)
-        return [_add_reciprocity(total, point, start, before, room) for start in starts]
+        room = np.empty((5 + 4 * len(kinds), bins * size * n), total.dtype)
+        some = (slice(start, min(start + size, n)) for start in starts)
+        return [_add_reciprocity(total, point, rows, before, room) for rows in some]
 
     if blocks:
         count = min(thread_count(), 4, len(blocks))  # each needs some tens of megabytes
@@ -297,19 +296,19 @@ def in_single(point: Point) -> Point:
 
 
 def _add_reciprocity(
-    total: Array, point: Point, start: int, before: Fitted | None, room: Array
+    total: Array, point: Point, some: slice, before: Fitted | None, room: Array
 ) -> Array:
-    """Add sums over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)] to the rows from ``start``.
+    """Add sums over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)] to some rows.
 
-    For every pair of kinds, but only columns from ``start`` on: the information is symmetric. All
+    For every pair of kinds, but only columns from these rows on: the information is symmetric. All
     kinds of unknowns of the sensors share one q. Returns the (b, b) part of the `Leverage` of these
     elements and their counterparts.
     """
     weights, designs = point.weights, [*point.designs.values()]
     bins, n = len(weights.bins), designs[0].p.shape[1]
     w = weights.reciprocity.astype(total.dtype)
-    some, rest = slice(start, start + BLOCK_ACTUATORS), slice(start, n)
-    count = len(range(*some.indices(n))) * (n - start)
+    rest, size = slice(some.start, n), some.stop - some.start
+    count = size * (n - some.start)
     forces = list({id(design.q): design.q for design in designs}.values())
     of = [next(k for k, q in enumerate(forces) if q is design.q) for design in designs]
     spare = iter(room[:, : bins * count].reshape(-1, bins, count))
@@ -317,7 +316,7 @@ def _add_reciprocity(
     def grams(left: Array, right: Array, out: Array | None = None) -> Array:
         out = next(spare) if out is None else out
         for each, k in zip(out, weights.bins, strict=True):
-            np.matmul(left[k, some].T, right[k, rest], out=each.reshape(-1, n - start))
+            np.matmul(left[k, some].T, right[k, rest], out=each.reshape(size, -1))
         return out
 
     pp = next(spare)
@@ -331,10 +330,10 @@ def _add_reciprocity(
         grams(one.p, other.p, pp)
         both = np.einsum("ak,ak->k", pp, weighed_qq[of[i]][of[j]])
         both -= np.einsum("ak,ak->k", pq[i][of[j]], weighed_qp[j][of[i]])
-        total[rows, columns][some, rest] += both.reshape(-1, n - start)
+        total[rows, columns][some, rest] += both.reshape(size, -1)
         if before is not None:
             c = before.covariance[rows, columns][some, rest].copy()
-            c[:, BLOCK_ACTUATORS:] *= 2.0  # for their counterparts in the lower triangle
+            c[:, size:] *= 2.0  # for their counterparts in the lower triangle
             c = c.ravel()
             pp *= c
             taken += pp @ qq[of[i]][of[j]].T - (pq[i][of[j]] * c) @ qp[j][of[i]].T

@@ -310,7 +310,7 @@ def _without_factors(apart: Array, whole: Array, weight: Array) -> Array:
     return np.asarray((apart - whole * (factor[:, None] - factor)) ** 2 / (1.0 - leverage))
 
 
-DRAW_SEED, MAX_DRAWS = 1, 300  # of random noise
+MAX_DRAWS = 300  # of random noise
 RARE_DRAW_FRACTION = 0.01  # of draws: a larger difference is not noise
 UNCERTAIN_VARIANCE_FACTOR = 1.5  # margin, as the variance of the elements is uncertain
 
@@ -339,7 +339,7 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> MatrixNoise:
     n = len(variance)
     drawn = scores([fit], variance)[0]
     by_noise = -drawn @ fit.covariance
-    unit = np.random.default_rng(DRAW_SEED).standard_normal(by_noise.shape)
+    unit = np.random.default_rng(1).standard_normal(by_noise.shape)
     known = fit.asked.information(n)
     scatter = []
     for kinds in ((Kind.GAIN,), OFFSETS):
@@ -360,7 +360,7 @@ def scores(fits: Sequence[Fit], variance: Array) -> list[Array]:
 
     In single precision, as they are random; the noise is the same for all.
     """
-    random, n, root = np.random.default_rng(DRAW_SEED), len(variance), np.sqrt(variance)
+    random, n, root = np.random.default_rng(1), len(variance), np.sqrt(variance)
     draws = [_Scores(fit) for fit in fits]
     found = [list[Array]() for _ in fits]
     for _ in range(int(np.clip(1e9 / n**3, 50, MAX_DRAWS))):
@@ -401,7 +401,7 @@ class _Scores:
 def errors(fit: Fit, noise: MatrixNoise, by_noise: Array) -> Array:
     """Return (draws, u) errors of all unknowns by `scores` of noise and scatter of sensors."""
     n, total = len(fit.values.log_alpha), by_noise.copy()
-    unit = np.random.default_rng([DRAW_SEED, 1]).standard_normal((len(total), 3 * n))
+    unit = np.random.default_rng([1, 1]).standard_normal((len(total), 3 * n))
     sensors = np.concatenate([np.zeros((len(total), n)), unit], axis=1)[:, : total.shape[1]]
     total += sensors * noise.of(fit.asked, n) * fit.asked.information(n)
     return np.asarray(-total @ fit.covariance)
@@ -448,7 +448,7 @@ def drawn_differences(fits: Sequence[Fit], noise: MatrixNoise) -> Array:
     if noise.variance is None:
         one, other = (fit.covariance_of(Kind.ALPHA) for fit in fits)
         factor = factor_of(one + other)
-        unit = np.random.default_rng(DRAW_SEED).standard_normal((MAX_DRAWS, factor.shape[1]))
+        unit = np.random.default_rng(1).standard_normal((MAX_DRAWS, factor.shape[1]))
         return np.asarray(unit @ factor.T)
     n = len(noise.variance)
     drawn = zip(fits, scores(fits, noise.variance), strict=True)

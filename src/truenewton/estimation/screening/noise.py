@@ -83,9 +83,6 @@ def _hidden(moments: Moments, each: Array) -> Array:
     return np.asarray(hidden * repeats / typical)
 
 
-MIN_FIT_PROBABILITY = LIMITS.fit_probability  # below, a model does not fit
-
-
 @dataclass(frozen=True)
 class Structure:
     """Whether shapes repeat over loads and signs."""
@@ -155,4 +152,4 @@ def pooled_where_it_fits(
     structure = structure_of(pooled, noise, samples)
     if structure.degrees_of_freedom <= 0:
         return moments, None
-    return (pooled if structure.probability > MIN_FIT_PROBABILITY else moments), structure
+    return (pooled if structure.probability > LIMITS.fit_probability else moments), structure
