@@ -52,10 +52,14 @@ def load_data(
     campaign: Campaign, moments: Moments, variance: Array, errors: WeightErrors
 ) -> DataSet:
     """Return the shapes of all loads, whose readings have the (n,) variance [N^2], with weights."""
-    unknowns = Unknowns(len(variance), len(campaign.loads), len(errors))
+    return DataSet(moments.sums, variance, *_loads_of(campaign, len(variance), errors))
+
+
+def _loads_of(campaign: Campaign, n: int, errors: WeightErrors) -> tuple[Array, Array]:
+    """Return (L, 3) k by the weights, and its (L, 3, p) derivative by what is beside n alphas."""
+    unknowns = Unknowns(n, len(campaign.loads), len(errors))
     nuisance = unknowns.external_load_derivative(tuple(errors.values()))
-    known = external_load(campaign.effective_weights, 0.0, 0.0, 0.0)
-    return DataSet(moments.sums, variance, known, nuisance)
+    return external_load(campaign.effective_weights, 0.0, 0.0, 0.0), nuisance
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +76,7 @@ class Problem:
     moved: Array | float = 0.0
     disturbance: Array | float = 0.0  # (3, 3) of `DataSet`
 
-    @property
+    @cached_property
     def dependent(self) -> bool:
         """Whether the readings of a row are correlated, as far as the balance shows."""
         return bool(np.isfinite(self.noise.share_freedom))
@@ -92,6 +96,10 @@ class Problem:
         """The order of the unknowns, including errors of the weights."""
         return Unknowns(self.n, len(self.campaign.loads), len(self.errors))
 
+    @cached_property
+    def _loads(self) -> tuple[Array, Array]:
+        return _loads_of(self.campaign, self.n, self.errors)
+
     def degrees_of_freedom(self, moments: Moments) -> int:
         """Return equations less unknowns; errors of the weights are measured, so neither."""
         shapes = moments.sums.shapes + sum(part.sums.shapes for part in self.elastic)
@@ -99,9 +107,14 @@ class Problem:
 
     def data(self, moments: Moments) -> list[DataSet]:
         """Return the shapes of each load, with its weight and unknowns, and the elastic ones."""
-        of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
-        excess, disturbance = 1.0 / self.noise.share, self.disturbance
-        return [replace(of_loads, excess=excess, disturbance=disturbance), *self.elastic]
+        of_loads = DataSet(
+            moments.sums,
+            self.noise.in_balance,
+            *self._loads,
+            excess=1.0 / self.noise.share,
+            disturbance=self.disturbance,
+        )
+        return [of_loads, *self.elastic]
 
     def fitted(self, moments: Moments, start: Array | None = None) -> Minimum:
         """Return the likeliest values, from a (u,) start if there is a better one than usual."""
@@ -112,8 +125,8 @@ class Problem:
     def imbalance(self, values: Array, moments: Moments) -> tuple[Array, Array]:
         """Return (g, 3) rho of the groups, and S."""
         scaled_arms = self.a * values[: self.n]
-        of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
-        k = of_loads.external(values[self.n :])
+        known, nuisance = self._loads
+        k = known + nuisance @ values[self.n :]
         rho = (scaled_arms @ moments.mean.T).T + moments.known + k[moments.labels[:, 0]]
         return rho, imbalance_covariance(scaled_arms, self.noise.in_balance) + self.disturbance
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -354,8 +355,9 @@ class Cycle:
         chosen = values[rows if self._counting is None else self._counting[rows]]
         return chosen if self.layout.enabled.all() else chosen[:, self.layout.enabled]
 
+    @cached_property
     def used_blocks(self) -> list[slice]:
-        """Return the blocks in which valid rows are read."""
+        """The blocks in which valid rows are read."""
         return blocks(int(self.valid.sum()), 8 * self.layout.n)
 
     @property
@@ -397,10 +399,23 @@ class Cycle:
             return np.zeros(n), np.zeros(n)
         counted = np.stack([self.paired_rows, np.ones(self._paired.size)])
         first, sums, square = self.used(self.position, slice(1))[0], np.zeros((2, n)), np.zeros(n)
-        for some in self.used_blocks():
+        for some in self.used_blocks:
             moved = self.used(self.position, some) - first
             sums += counted[:, some] @ moved
             square += np.einsum("ij,ij->j", moved, moved)
         rest, mean = sums / counted.sum(axis=1)[:, None]
         square = square / self._paired.size - 2.0 * rest * mean + rest**2
         return first + rest, np.sqrt(np.maximum(square, 0.0))
+
+
+def common_rest(cycles: Sequence[Cycle]) -> Array:
+    """Return (n_enabled,) mean readings at rest over cycles [m].
+
+    NaN for a sensor whose zero moved by more than its stroke; for all, if most did.
+    """
+    whole = [cycle for cycle in cycles if cycle.has_opposites] or cycles
+    reference = np.array([cycle.rest_position for cycle in whole])
+    stroke = np.sqrt(np.mean([cycle.stroke**2 for cycle in whole], axis=0))
+    common = reference[0] + (reference - reference[0]).mean(axis=0)  # equal ones to the last digit
+    anew = (np.abs(reference - common) > stroke).any(axis=0)
+    return np.where(anew | (anew.mean() > 0.5), np.nan, common)

@@ -134,9 +134,9 @@ class FittedRows:
         """Return (g, b) c^ of every group, of some actuators [N]."""
         return self.moments.pooling.groups(self.fitted_rows[:, some])
 
-    def recorded(self, some: Some, fitted: Array | None = None) -> Array:
+    def recorded(self, some: Some) -> Array:
         """Return (g, b) c^ as recorded, with what is being taken out: coils bend by that [N]."""
-        fitted = self.fitted(some) if fitted is None else fitted
+        fitted = self.fitted(some)
         return fitted if isinstance(self.removed, float) else fitted + self.removed[:, some]
 
     @cached_property
@@ -144,9 +144,16 @@ class FittedRows:
         """(g, 3) U rho."""
         return self.moments.pooling.groups(self.rho)
 
-    def apart(self, some: slice, fitted: Array) -> Array:
-        """Return (g, b) the residual of the means, c - U y [N], y = c^ + P rho."""
-        return np.asarray(self.moments.mean[:, some] - fitted - self._group_rho @ self._p[:, some])
+    def recorded_and_apart(self, some: slice) -> tuple[Array, Array | None]:
+        """Return `recorded`, and (g, b) the residual of the means, c - U y [N], y = c^ + P rho.
+
+        The residual is None if readings are not independent.
+        """
+        fitted, apart = self.fitted(some), None
+        if self.independent:
+            apart = self.moments.mean[:, some] - fitted - self._group_rho @ self._p[:, some]
+        recorded = fitted if isinstance(self.removed, float) else fitted + self.removed[:, some]
+        return recorded, apart
 
     # -- noise that fitted readings still contain
 
@@ -344,11 +351,6 @@ class Scored:
         """(k, free) B."""
         return self.fit.solved(self.half).T
 
-    def moves_along(self, direction: Array) -> Array:
-        """Return (k,) B along one (n,) direction of alpha, without all of B."""
-        whole = np.concatenate([direction, np.zeros(self.fit.free - len(direction))])
-        return np.asarray((self.fit.half_solved(whole[None]).T @ self.half)[0])
-
     @cached_property
     def _by_fit(self) -> Array:
         return np.asarray(self.half.T @ self.half)
@@ -395,6 +397,17 @@ def scored(fit: FittedRows, derivative: Derivative) -> Scored:
         left = partial(without_direction, direction=derivative.direction)
         score, joint, cross = left(score), left(left(joint).T), left(cross.T).T
     return Scored(fit, score, joint, fit.half_solved(cross), spurious, spurious_information)
+
+
+def moves_along(
+    fit: FittedRows, derivatives: Sequence[Derivative], direction: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Yield (k,) B along one (n,) direction of alpha, without all of B, and (k, k) information."""
+    whole = np.concatenate([direction, np.zeros(fit.free - len(direction))])
+    half = fit.half_solved(whole[None]).T
+    for derivative in derivatives:
+        result = scored(fit, derivative)
+        yield (half @ result.half)[0], result.information
 
 
 def _of_all(information: Array | float) -> Array | float:

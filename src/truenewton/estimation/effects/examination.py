@@ -50,7 +50,13 @@ from truenewton.estimation.effects.correction import (
     unknown_force,
     with_error,
 )
-from truenewton.estimation.effects.derivative import Derivative, FittedRows, Some, scored
+from truenewton.estimation.effects.derivative import (
+    Derivative,
+    FittedRows,
+    Some,
+    moves_along,
+    scored,
+)
 from truenewton.estimation.effects.fields import Field, derivative_of, field_sums
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
@@ -540,17 +546,15 @@ UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
 
 def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
     """Return the influence of undetectable effects on the common scale, the largest first."""
-    found = list[UnseenError]()
-    fit = left.rows
+    found, fit = list[UnseenError](), left.rows
+    made = {name: derivative_at(fit) for name, derivative_at in UNDETECTABLE_EFFECTS.items()}
+    some = {name: derivative for name, derivative in made.items() if derivative is not None}
     # Of a relative change of all: alpha -> alpha (1 + e).
     direction = fit.alpha / (fit.alpha @ fit.alpha)
-    for name, derivative_at in UNDETECTABLE_EFFECTS.items():
-        derivative = derivative_at(fit)
-        if derivative is None:
-            continue
-        result = scored(fit, derivative)
-        along = result.moves_along(direction)
-        information = result.information + np.eye(len(along))  # in units of 1 / s^2
+    for name, (along, information) in zip(
+        some, moves_along(fit, list(some.values()), direction), strict=True
+    ):
+        information += np.eye(len(along))  # in units of 1 / s^2
         try:
             left_open = scipy.linalg.solve(information, along, assume_a="pos")
         except np.linalg.LinAlgError:  # D_tt exceeds M_tt

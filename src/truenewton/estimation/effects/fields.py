@@ -122,9 +122,7 @@ def field_sums(fit: FittedRows, fields: Sequence[Field]) -> list[FieldSums]:
     step = max(1, 2**17 // len(fit.moments.mean))
     for start in range(0, fit.problem.n, step):
         some = slice(start, min(start + step, fit.problem.n))
-        fitted = fit.fitted(some)
-        recorded = fit.recorded(some, fitted)
-        apart = fit.apart(some, fitted) if fit.independent else None
+        recorded, apart = fit.recorded_and_apart(some)
         for one in passes:
             one.add(some, recorded, apart)
     return [one.result() for one in passes]
@@ -194,7 +192,7 @@ class _FieldPass:
         between = np.stack([(h * self.first) @ spread for h in self.mean[: len(self.first)]])
         information = between[kind][:, kind]
         if self.field.within:
-            information += self.within.second(own)[:each, :each]
+            information += _second(self.within, own)[:each, :each]
         self.each_information[:, :, some] = information
 
     def result(self) -> FieldSums:
@@ -210,7 +208,7 @@ class _FieldPass:
             information += (mean * self.square) @ first.T - self.between[kind][:, kind]
             self.each_information -= self.each_square[each][:, each]
             if field.within:
-                information[w, w] += within.second(self.own_square[:, None])[:, :, 0]
+                information[w, w] += _second(within, self.own_square[:, None])[:, :, 0]
                 information[w, w] -= (mean[w] * self.own_square) @ first[w].T
                 sums = field.sums(within)
                 score[w] -= sums @ self.weights
@@ -220,6 +218,26 @@ class _FieldPass:
             field, kind, np.moveaxis(jacobian, 0, 2), score, information, each_score / noise,
             self.each_information / noise, self.each_square, self.each_pull,
         )  # fmt: skip
+
+
+def _products(within: WithinGroups, index: int) -> Array:
+    """Return (files + 1, g) weighted sums of h times one of the h."""
+    files = len(within.weight)
+    if index == files:
+        return np.vstack([within.hour, within.square])
+    products = np.zeros_like(within.first)
+    products[index], products[files] = within.weight[index], within.hour[index]
+    return products
+
+
+def _second(within: WithinGroups, values: Array) -> Array:
+    """Return (files + 1, files + 1, b) weighted sums of products of two h, times (g, b)."""
+    files = np.arange(len(within.weight))
+    sums = np.zeros((len(files) + 1, len(files) + 1, values.shape[1]))
+    sums[files, files] = within.weight @ values
+    sums[files, -1] = sums[-1, files] = within.hour @ values
+    sums[-1, -1] = within.square @ values
+    return sums
 
 
 def from_mean(weight: Array) -> Array:
@@ -346,7 +364,7 @@ def _removed(
     zeros, gains = within.zero.copy(), within.gain.copy()
     counted = moments.counted_within
     for index, first in enumerate(counted.first):
-        apart = (counted.products(index).T @ sizes - first[:, None] * shift) * own
+        apart = (_products(counted, index).T @ sizes - first[:, None] * shift) * own
         zeros[index] -= apart.sum(axis=0)
         gains[index] -= np.sum(apart * within.mean, axis=0)
         scatter += sizes[index] * np.sum(apart * own, axis=0)

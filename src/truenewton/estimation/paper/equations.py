@@ -72,15 +72,18 @@ class Unknowns:
         uncertainty.
         """
         derivative = np.zeros((self.loads, 3, self.total - self.actuators))
-        by_bias, *by_torques = external_load(0.0, *np.eye(3))
-        derivative[:, :, 0] = by_bias
+        by_weight, *by_torques = _BY_LOAD
+        derivative[:, :, 0] = by_weight  # of B, which acts as a weight does
         for load_index in range(self.loads):
             first = 1 + 2 * load_index
             derivative[load_index, :, first : first + 2] = np.transpose(by_torques)
         if weight_changes:
-            changed = external_load(np.array(weight_changes), 0.0, 0.0, 0.0)  # (errors, L, 3)
-            derivative[:, :, self.count - self.actuators :] = np.moveaxis(changed, 0, 2)
+            changes = np.transpose(weight_changes)[:, None]  # (L, 1, errors)
+            derivative[:, :, self.count - self.actuators :] = by_weight[:, None] * changes
         return derivative
+
+
+_BY_LOAD = external_load(0.0, *np.eye(3))  # k by 1 N of B, and by 1 N m of M_y and M_x
 
 
 def balance_rows(force: Array, a: Array) -> Array:

@@ -268,7 +268,7 @@ def from_rows(cycle: Cycle, a: Array, external: tuple[float, ...]) -> Array | No
     """
     n = a.shape[1]
     triangle = np.empty((0, n + 1))
-    for rows in cycle.used_blocks():
+    for rows in cycle.used_blocks:
         block = np.column_stack(system_c(cycle.used(cycle.force, rows), a, *external))
         triangle = scipy.linalg.qr(np.vstack([triangle, block]), mode="r")[0][: n + 1]
     alpha, _, rank, _ = scipy.linalg.lstsq(triangle[:, :-1], triangle[:, -1])

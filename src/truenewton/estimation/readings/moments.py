@@ -213,24 +213,6 @@ class WithinGroups:
         """(files + 1, g) weighted sums of h."""
         return np.vstack([self.weight, self.hour.sum(axis=0)])
 
-    def products(self, index: int) -> Array:
-        """Return (files + 1, g) weighted sums of h times one of the h."""
-        files = len(self.weight)
-        if index == files:
-            return np.vstack([self.hour, self.square])
-        products = np.zeros_like(self.first)
-        products[index], products[files] = self.weight[index], self.hour[index]
-        return products
-
-    def second(self, values: Array) -> Array:
-        """Return (files + 1, files + 1, b) weighted sums of products of two h, times (g, b)."""
-        files = np.arange(len(self.weight))
-        sums = np.zeros((len(files) + 1, len(files) + 1, values.shape[1]))
-        sums[files, files] = self.weight @ values
-        sums[files, -1] = sums[-1, files] = self.hour @ values
-        sums[-1, -1] = self.square @ values
-        return sums
-
 
 @dataclass(frozen=True, eq=False)
 class Moments:

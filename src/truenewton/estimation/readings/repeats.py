@@ -73,7 +73,6 @@ class RepeatSums:
         self, campaign: Campaign, reference: Array | None = None, client: Client | None = None
     ) -> None:
         self.campaign, self.client, self.stale = campaign, client, False
-        self._moments: Moments | None = None
         self._reference = common_reference(campaign) if reference is None else reference
         self._labels, first, groups_of_rows = row_groups(campaign)
         self._coming = np.argsort(first)  # groups, as they come
@@ -123,24 +122,22 @@ class RepeatSums:
         """(n,) step of which the readings are multiples [N], or 0."""
         return rounding_steps(self.prints.of_first)
 
-    @property
+    @cached_property
     def moments(self) -> Moments:
         """Moments of the rows that are not left out."""
-        if self._moments is None:
-            turn = np.argsort(self._coming)
-            self._moments = Moments(
-                loads=self.campaign.loads,
-                labels=self._labels,
-                rows=np.concatenate([block.number for block in self._blocks])[turn],
-                weight=np.concatenate([block.weight for block in self._blocks])[turn],
-                mean=self._mean,
-                known=self._known,
-                scatter=self._scatter_of.sum(axis=0),
-                reference=self._reference,
-                within=self._within(turn),
-                step=self.step,
-            )
-        return self._moments
+        turn = np.argsort(self._coming)
+        return Moments(
+            loads=self.campaign.loads,
+            labels=self._labels,
+            rows=np.concatenate([block.number for block in self._blocks])[turn],
+            weight=np.concatenate([block.weight for block in self._blocks])[turn],
+            mean=self._mean,
+            known=self._known,
+            scatter=self._scatter_of.sum(axis=0),
+            reference=self._reference,
+            within=self._within(turn),
+            step=self.step,
+        )
 
     def _within(self, turn: NDArray[np.int64]) -> WithinGroups:
         """Return how rows of one group differ; (g,) groups in order, among those as they come."""
@@ -205,7 +202,8 @@ class RepeatSums:
         if blocks:
             some = [self._blocks[index] for index in blocks]
             change = divided(function, some, take, added, self.client)
-            self._by_file, self._moments = added(self._by_file, change), None
+            self._by_file = added(self._by_file, change)
+            vars(self).pop("moments", None)  # of the rows before
         return rejected
 
 
@@ -331,7 +329,7 @@ def read_rows(campaign: Campaign, readers: Sequence[RowReader]) -> None:
     """Read the rows that count once: cycle after cycle, some megabytes at a time."""
     for k, cycle in enumerate(campaign.cycles):
         count = int(cycle.valid.sum())
-        for rows in cycle.used_blocks():
+        for rows in cycle.used_blocks:
             block = RowBlock(k, cycle, rows, rows.stop == count, cycle.used(cycle.force, rows))
             for take in readers:
                 take(block)

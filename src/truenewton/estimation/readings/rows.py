@@ -26,7 +26,7 @@ from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.files.stored_rows import BLOCK_BYTES, Rows
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
+from truenewton.records.cycle import Cycle, common_rest
 from truenewton.statics.arms import enabled_arms
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
@@ -47,7 +47,7 @@ def common_reference(campaign: Campaign) -> Array:
     displaced = [cycle for cycle in campaign.cycles if is_displaced(cycle)]
     if not displaced:
         return np.full(int(campaign.layout.enabled.sum()), np.nan)
-    return _reference(displaced)
+    return common_rest(displaced)
 
 
 def rest_positions(campaign: Campaign) -> tuple[Array, ...] | None:
@@ -57,17 +57,8 @@ def rest_positions(campaign: Campaign) -> tuple[Array, ...] | None:
     """
     if any(cycle.position is None for cycle in campaign.cycles):
         return None
-    reference = _reference(list(campaign.cycles))
+    reference = common_rest(campaign.cycles)
     return tuple(_from_own_mean(reference, cycle) for cycle in campaign.cycles)
-
-
-def _reference(displaced: list[Cycle]) -> Array:
-    whole = [cycle for cycle in displaced if cycle.has_opposites] or displaced
-    reference = np.array([cycle.rest_position for cycle in whole])
-    stroke = np.sqrt(np.mean([cycle.stroke**2 for cycle in whole], axis=0))
-    common = reference[0] + (reference - reference[0]).mean(axis=0)  # equal ones to the last digit
-    anew = (np.abs(reference - common) > stroke).any(axis=0)
-    return np.where(anew | (anew.mean() > 0.5), np.nan, common)
 
 
 def _from_own_mean(reference: Array, cycle: Cycle) -> Array:

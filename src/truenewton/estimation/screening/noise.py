@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,12 +40,12 @@ class Noise:
     hidden: Array | float = 0.0  # (n,) part that repeats do not show: common rounding [N^2]
     least: float = 0.0  # variance below which it is not distinguished from rounding [N^2]
 
-    @property
+    @cached_property
     def in_balance(self) -> Array:
         """(n,) variance of one reading in the balance [N^2]."""
         return self.seen * self.share + self.hidden
 
-    @property
+    @cached_property
     def seen(self) -> Array:
         """(n,) variance of one reading among its repeats [N^2]."""
         return self.variance - self.hidden

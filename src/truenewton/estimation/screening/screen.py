@@ -114,8 +114,8 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
     valid = np.array([cycle.valid.sum() for cycle in campaign.cycles])
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
     suspects += () if apart else _relabelled(campaign, prints, affected)
-    noise = reading_noise(sound, sums.moments)
     moments, frozen = sums.moments, tuple[Finding, ...]()
+    noise = reading_noise(sound, moments)
     if (displacement := sums.displacement()) is not None:
         frozen = tuple(frozen_sensors(campaign))
         displacement[:, still_sensors(campaign).any(axis=0)] = 0.0
@@ -276,14 +276,14 @@ def frozen_readings(campaign: Campaign, prints: RowPrints) -> Iterator[Finding]:
     whole = [prints.longest[file] == prints.rows[file] - 1 for file in prints.longest]
     constant = np.logical_and.reduce(whole)
     for file, longest in sorted(prints.longest.items()):
-        name, still = campaign.cycles[file].name, _stand_still(prints, file)
-        share, frozen = longest / prints.rows[file], np.flatnonzero(still & ~constant)
+        still, share = _stand_still(prints, file), longest / prints.rows[file]
+        frozen = np.flatnonzero(still & ~constant)
         if still.all() and not constant.all():
-            where, size = f"all actuators in {name}", float(share.min())
+            where, size = f"all actuators in {campaign.cycles[file].name}", float(share.min())
             yield Finding(code=Code.FROZEN_READINGS, where=where, size=size)
         elif frozen.size <= max(1, LIMITS.bad_fraction * still.size):
             for i in frozen.tolist():
-                where, size = f"{{}} in {name}", float(share[i])
+                where, size = f"{{}} in {campaign.cycles[file].name}", float(share[i])
                 yield about_actuators(campaign.layout, Code.FROZEN_READING, [i], where, size=size)
 
 
