@@ -16,7 +16,7 @@ from helpers.comparison import same
 from helpers.raw_samples import stream
 from truenewton import cluster, errors
 from truenewton.errors import ClusterFailed, FormatError, TrueNewtonError, UnreadableFile
-from truenewton.estimation.readings import repeats
+from truenewton.estimation.readings import repeats, rows
 from truenewton.records.file import write_campaign, write_cycle
 from truenewton.records.samples import AveragedRows
 
@@ -63,7 +63,8 @@ def alone(folder):
 @pytest.fixture
 def small_tasks(monkeypatch):
     """Cut the work into many tasks."""
-    monkeypatch.setattr(repeats, "BLOCK_BYTES", 800)
+    for module in (repeats, rows):
+        monkeypatch.setattr(module, "BLOCK_BYTES", 800)
 
 
 def test_errors_cross_from_machine_to_machine():

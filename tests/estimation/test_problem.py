@@ -21,7 +21,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import TooManyOutliers
 from truenewton.estimation import campaign_ml
 from truenewton.estimation.paper.equations import squared_distances, standing_out
-from truenewton.estimation.readings import repeats
+from truenewton.estimation.readings import rows as row_blocks
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.statics.load import Load
 
@@ -156,7 +156,7 @@ def test_too_many_bad_rows_are_refused_with_their_number():
 
 def test_rows_that_are_left_out_leave_sums_as_of_the_rest(monkeypatch):
     """Whether their blocks alone are summed again, or all."""
-    monkeypatch.setattr(repeats, "ROWS_AT_ONCE", 5)
+    monkeypatch.setattr(row_blocks, "ROWS_AT_ONCE", 5)
     campaign, _ = small(4, cycles=5)
     for k in range(10):  # from lost in noise to what swells every sum
         campaign = with_spike(campaign, k, 3 * k, k, 10.0 ** (k - 4))

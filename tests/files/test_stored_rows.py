@@ -19,6 +19,7 @@ from truenewton.errors import UnreadableFile
 from truenewton.estimation.paper.equations import system_c
 from truenewton.estimation.paper.svd import CycleErrors, from_rows
 from truenewton.estimation.readings import repeats
+from truenewton.estimation.readings import rows as row_blocks
 from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files import stored_rows
@@ -33,7 +34,7 @@ from truenewton.statics.layout import rings
 def left_on_disk(monkeypatch):
     """Leave rows of every file on disk, and take few of them at once."""
     monkeypatch.setattr(reader, "IN_MEMORY", -1)
-    for module in (stored_rows, repeats):
+    for module in (stored_rows, repeats, row_blocks):
         monkeypatch.setattr(module, "BLOCK_BYTES", 800)
 
 
@@ -75,8 +76,8 @@ def folder(tmp_path_factory, method):
 
 def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
     """From memory and from disk; blocks of another size change rounding only."""
-    monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 800)
-    monkeypatch.setattr(repeats, "BLOCK_BYTES", 800)
+    for module in (stored_rows, repeats, row_blocks):
+        monkeypatch.setattr(module, "BLOCK_BYTES", 800)
     one = calibrate(read_data(folder), method)
     monkeypatch.setattr(reader, "IN_MEMORY", -1)
     campaign = read_data(folder)
@@ -89,8 +90,8 @@ def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
     assert one.invalid == 12
     assert np.isnan(one.alpha[5])
     assert np.isfinite(one.cycle_error).sum() == 13
-    monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 2**24)
-    monkeypatch.setattr(repeats, "BLOCK_BYTES", 2**24)
+    for module in (stored_rows, repeats, row_blocks):
+        monkeypatch.setattr(module, "BLOCK_BYTES", 2**24)
     large = calibrate(campaign, method)
     assert len(other.rejected_rows) == len(large.rejected_rows)
     for name in ("alpha", "statistical_error", "cycle_error"):
@@ -176,7 +177,7 @@ def peak_of_reading_twice(path):
 
 @pytest.mark.study
 def test_memory_does_not_grow_with_repeats(tmp_path, left_on_disk, monkeypatch):
-    for module in (stored_rows, repeats):
+    for module in (stored_rows, repeats, row_blocks):
         monkeypatch.setattr(module, "BLOCK_BYTES", 2**16)
     layout, peaks = rings([0.05, 0.08, 0.11, 0.14], [12, 24, 36, 48]), []
     for cycles in (3, 12):

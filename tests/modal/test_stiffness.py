@@ -18,6 +18,7 @@ from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, Unkn
 from truenewton.estimation.findings.estimate import Sensor
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.readings import repeats
+from truenewton.estimation.readings import rows as row_blocks
 from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sensors_at
 from truenewton.estimation.screening.screen import screen_campaign
@@ -237,7 +238,7 @@ def test_rows_may_stay_on_disk(tmp_path, monkeypatch):
     _, campaign, _ = spoilt()
     write_campaign(campaign.cycles, tmp_path / "campaign")
     monkeypatch.setattr(reader, "IN_MEMORY", -1)
-    for module in (stored_rows, repeats):
+    for module in (stored_rows, repeats, row_blocks):
         monkeypatch.setattr(module, "BLOCK_BYTES", 16000)
     stored = read(tmp_path / "campaign")
     assert not isinstance(stored.cycles[0].position, np.ndarray)
