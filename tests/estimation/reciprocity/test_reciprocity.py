@@ -15,7 +15,7 @@ from studies.simulated_matrices import by_glass, by_plate, drawn
 from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.calibration.summary import summary_lines
+from truenewton.calibration.summary import detail_lines
 from truenewton.errors import (
     CampaignMismatch,
     NotConverged,
@@ -193,7 +193,7 @@ def test_a_campaign_gives_better_alpha_and_the_sensors(tmp_path):
     again = tn.read(tmp_path / "alpha.fits")
     assert again.sensors == made.sensors
     assert again.verdict == made.verdict
-    assert any(row.startswith("  sensors") for row in summary_lines(made))
+    assert any(row.startswith("  sensors") for row in detail_lines(made))
 
 
 def test_with_a_model_of_the_glass_the_readings_of_annuli_fit():
