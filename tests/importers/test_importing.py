@@ -412,7 +412,7 @@ def scrambled():
         ({"matrix": np.triu(CASE.k)}, "zero below its diagonal: half of it is not there; store"),
         ({"matrix": np.clip(CASE.k, -1e5, 1e5)}, "45 own elements of STIFFNESS are the same"),
         ({"matrix": np.linalg.pinv(CASE.k), "unit": "unknown"}, "looks like a compliance, disp"),
-        ({"ids": [1] * N}, "actuator ID 1 stands 45 times"),
+        ({"ids": [1] * N}, "actuator ID 1 occurs 45 times"),
         ({"ids": [1, 2]}, "2 IDs for 45 rows"),
         ({"shell": 2}, "there is no shell 2"),
         ({"matrix": CASE.k + 1e40 * np.eye(N)}, "contains an element of 1e[+]40; measure it again"),
