@@ -21,6 +21,7 @@ import numpy as np
 
 import truenewton as tn
 from studies.matrices import measured_or_made, true_stiffness
+from studies.simulated_matrices import without_modes
 from truenewton.errors import TrueNewtonError
 from truenewton.statics.arms import arms
 
@@ -46,13 +47,6 @@ def with_glass(exact, stiffer):
     size, modes = np.linalg.eigh(exact)
     root = (modes * np.sqrt(np.maximum(size, 0.0))) @ modes.T  # curvatures of a plate
     return root @ ((1.0 + stiffer)[:, None] * root)
-
-
-def without_modes(k, some):
-    """Return a matrix without some of its modes, of which the stiffest is the first."""
-    left, size, right = np.linalg.svd(k)
-    size[some] = 0.0
-    return (left * size) @ right
 
 
 def pair(matrix, exact, seed, law, *, changed, later=None):

@@ -139,9 +139,9 @@ def _slaved(k, layout, random):
     return k
 
 
-def _without(k, some):
+def without_modes(k, some):
+    """Return a matrix without some of its modes, of which the stiffest is the first."""
     left, size, right = np.linalg.svd(k)
-    size = size.copy()
     size[some] = 0.0
     return (left * size) @ right
 
@@ -188,8 +188,11 @@ def foreign(date):
 
     yield "P45, annuli, offsets 0.5 mm", made()
     yield "4 actuators slaved to neighbours", made(_slaved)
-    yield "softest eighth of modes cut", made(lambda k, at, _: _without(k, slice(-at.n // 8, None)))
-    yield "stiffest eighth of modes cut", made(lambda k, at, _: _without(k, slice(at.n // 8)))
+    yield (
+        "softest eighth of modes cut",
+        made(lambda k, at, _: without_modes(k, slice(-at.n // 8, None))),
+    )
+    yield "stiffest eighth of modes cut", made(lambda k, at, _: without_modes(k, slice(at.n // 8)))
     yield "made symmetric by its makers", made(lambda k, *_: 0.5 * (k + k.T))
     yield "cross-talk of 2 % between sensors", made(lambda k, at, _: _cross_talk(k, at, 0.02))
     yield "cross-talk of 10 %", made(lambda k, at, _: _cross_talk(k, at, 0.1))

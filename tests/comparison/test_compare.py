@@ -8,8 +8,9 @@ import pytest
 import scipy.linalg
 
 import truenewton as tn
-from studies.comparison import LAWS, SCATTER, pair, with_glass, without_modes
+from studies.comparison import LAWS, SCATTER, pair, with_glass
 from studies.matrices import measured_or_made, true_stiffness
+from studies.simulated_matrices import without_modes
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.linalg import symmetrised
