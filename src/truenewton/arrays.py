@@ -71,6 +71,11 @@ def _as_array(given: Any, dtype: Any, name: str) -> NDArray[Any]:
         ) from None
 
 
+def rms(values: Array) -> float:
+    """Return the root of the mean square of (...,) numbers."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def spread(values: Array, on: NDArray[np.bool_]) -> Array:
     """Put (n_enabled, ...) values of the enabled actuators in the order of all (n,), else NaN."""
     out = np.full((on.size, *values.shape[1:]), np.nan)

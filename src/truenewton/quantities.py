@@ -125,6 +125,7 @@ def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0, has: Any = N
     FormatError
         The unit does not convert; the message contains ``name``.
     """
+    wanted = f"{unit}, g" if of_mass else unit
     listed = isinstance(value, list | tuple) and any(getattr(one, "unit", None) for one in value)
     if listed or isinstance(value, str):
         import astropy.units as u
@@ -132,7 +133,7 @@ def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0, has: Any = N
         try:
             value = u.Quantity(value)
         except (TypeError, ValueError):
-            raise other_unit(name, "several units" if listed else f"'{value}'", unit) from None
+            raise other_unit(name, "several units" if listed else f"'{value}'", wanted) from None
     own = unit_of(value)
     own = has if own is None else own
     if own is None:
@@ -146,7 +147,7 @@ def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0, has: Any = N
             plain = of_mass * plain.to_value(u.kg) * u.Unit(unit)
         numbers = plain.to_value(u.Unit(unit), equivalencies=u.temperature())
     except (u.UnitsError, TypeError, ValueError):
-        raise other_unit(name, str(own) or "numbers without unit", unit) from None
+        raise other_unit(name, str(own) or "numbers without unit", wanted) from None
     if mask is not None:
         return np.ma.masked_array(numbers, mask)
     return float(numbers) if np.ndim(numbers) == 0 else np.asarray(numbers)

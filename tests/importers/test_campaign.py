@@ -79,7 +79,7 @@ def test_files_of_a_campaign_become_cycle_files(tmp_path, inside, ending, change
     ("old", "new", "words"),
     [
         ('"-0.289 N"', "0.289", "load 'ring': ADDED is 0.289 N; z points up"),
-        ('"-0.289 N"', '"29 parrots"', "added is '29 parrots'; give a force or a mass with its"),
+        ('"-0.289 N"', '"29 parrots"', "ADDED is in '29 parrots'; give it in N, g or a unit"),
         ("F{id}", "G{id}", "bare-1.csv: there is no column 'G1'; name the columns of the file"),
         ('added_error = "0.5 g"', "", "load 'ring' lacks 'added_error'"),
         (

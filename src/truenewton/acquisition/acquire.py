@@ -120,7 +120,9 @@ def acquire(
     ['bare-001.fits']
     """
     mirror, layout = _agreed(bench, plan, beside)
-    operator = operator or _operator_of(bench)
+    operator = operator or bench  # type: ignore[assignment]
+    if not isinstance(operator, Operator):
+        raise BenchFault("no operator puts the loads on", remedy="give an operator")
     with Interruption() as interruption, locked(folder) as folder:
         plan, shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
@@ -148,12 +150,6 @@ def acquire(
             with _at_rest_in_the_end(run):
                 take_all(run)
         return files
-
-
-def _operator_of(bench: Bench) -> Operator:
-    if not isinstance(bench, Operator):
-        raise BenchFault("no operator puts the loads on", remedy="give an operator")
-    return bench
 
 
 def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:

@@ -8,17 +8,12 @@ are taken back and forth, each time with a part of the cycles:
     2       1 : 1                   bare 2, ring 4, bare 2          0, 1, 2
     3       1 : 2 : 1               bare 1, ring 3, bare 3, ring 1  0, 1, 2, 3
 
-The parts are binomial coefficients. The difference of the means of two loads is therefore a finite
+The parts are binomial coefficients, so that the difference of the means of two loads is a finite
 difference of the order of the turns: two turns cancel linear drift, three quadratic drift.
 
-Drift of the common scale follows from statics. A gain common to all coils keeps elastic forces in
-balance, but changes the sums of the forces at rest, S_l = sum nz_i alpha_i c_i = -(W_l + B). The
-scale s and B follow from s S_l + B = -W_l by least squares over the loads, so an error dS_l gives
-
-    ds / s = sum r_l dS_l,      under two loads  r = (+1, -1) / (S_2 - S_1),
-
-If alpha drifts by g an hour, dS_l = -g h_l S_l, with h_l the mean hour of the cycles under a load.
-Zeros of the readings add n alpha z, per hour and per mounting.
+The common scale s and B follow from s S_l + B = -W_l by least squares over the loads, S_l the sums
+of the forces at rest (docs/campaign.md), so an error dS_l gives ds / s = sum r_l dS_l. Under two
+loads r = (+1, -1) / (S_2 - S_1). If alpha drifts by g an hour, dS_l = -g h_l S_l.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.acquisition.plan import CampaignPlan, MirrorLimits
-from truenewton.arrays import Array, jsonable
+from truenewton.arrays import Array, jsonable, rms
 from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape
 from truenewton.errors import BenchFault, Interrupted, LimitExceeded
 from truenewton.files.outputs import in_one_line
@@ -422,8 +422,8 @@ class Taker:
             largest_force=force,
             smallest_gap=gap,
             samples=plan.samples,
-            force_scatter=_rms(reading.force_scatter[on]),
-            position_scatter=_rms(reading.position_scatter[on]),
+            force_scatter=rms(reading.force_scatter[on]),
+            position_scatter=rms(reading.position_scatter[on]),
             force_error=force_noise(bench.layout, reading),
             temperature=reading.temperature,
             counter=reading.counter,
@@ -506,12 +506,8 @@ class Taker:
             wait = min(2 * wait, LONGEST_WAIT)
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def force_noise(layout: Layout, reading: Reading | None) -> float:
     """Return the RMS over actuators of the error of a mean force [N]; NaN if it is unknown."""
     if reading is None or reading.force_error is None:
         return float("nan")
-    return _rms(reading.force_error[layout.enabled])
+    return rms(reading.force_error[layout.enabled])

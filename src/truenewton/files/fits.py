@@ -40,6 +40,7 @@ START = b"SIMPLE"
 BLOCK, CARD = 2880, 80  # bytes
 MAX_COLUMNS = 999  # the standard's limit
 MAX_HEADER_BLOCKS = 2000  # 72,000 cards
+DAMAGE = {"truncated": "is truncated", "corrupted": "is damaged, or bytes follow its end"}
 
 
 def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
@@ -67,7 +68,11 @@ def _read(path: str, *, whole: bool) -> FitsFile:
             warnings.simplefilter("always")
             with fits.open(stream, memmap=False) as hdus:
                 hdus.readall()
-                _refuse_damage(caught)
+                # Of a wrong length astropy only warns.
+                warned = " ".join(str(warning.message) for warning in caught)
+                for word, fault in DAMAGE.items():
+                    if word in warned:
+                        raise UnreadableFile(fault, remedy="fetch it again")
                 for hdu in hdus:
                     _verify_checksums(stream, hdu)
                 _refuse_doubles(hdus[0].header.keys(), "keywords")
@@ -185,15 +190,6 @@ def _sum32(stream: BufferedIOBase, start: int, length: int) -> int:
         words = np.frombuffer(stream.read(4 * (some.stop - some.start)), dtype=">u4")
         total += int(words.sum(dtype=np.uint64))
     return (total - 1) % 0xFFFFFFFF + 1 if total else 0  # what overflows comes in again below
-
-
-def _refuse_damage(caught: list[warnings.WarningMessage]) -> None:
-    """Refuse a file of a wrong length, of which astropy only warns."""
-    warned = " ".join(str(warning.message) for warning in caught)
-    faults = {"truncated": "is truncated", "corrupted": "is damaged, or bytes follow its end"}
-    for word, fault in faults.items():
-        if word in warned:
-            raise UnreadableFile(fault, remedy="fetch it again")
 
 
 def _plain(header: Any) -> dict[str, Any]:

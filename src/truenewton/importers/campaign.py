@@ -9,7 +9,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import astropy.units as u
 import numpy as np
 
 from truenewton.errors import FormatError, naming
@@ -22,9 +21,9 @@ from truenewton.records.cycle import Cycle
 from truenewton.records.tables import MATRICES, check_size, wide_rows
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
-from truenewton.statics.load import GRAVITY, Load
+from truenewton.statics.load import MIRROR_WEIGHT, Load
 
-GRADIENTS = ("coil_gradient", "bias_gradient")
+OPTIONAL = ("gap", "force_error", "coil_gradient", "bias_gradient")
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,6 @@ class LoadFiles:
     tool: str | None = None
     tilt: float = 0.0
     tilt_error: float = 0.0
-    coil_shift: float | None = None
-    coil_shift_error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -112,18 +109,20 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
     actuators, notes = _layout_from(folder, described.positions)
     with naming(path):
         loads = [_load_of(one) for one in described.loads]
-        weight, error = (_weight(getattr(described, n), n) for n in ("weight", "weight_error"))
-        more = {n: getattr(described, n) for n in ("gap", "force_error", *GRADIENTS)}
+        weight, error = (
+            in_unit(getattr(described, name), quantity.unit, name, quantity.of_mass)
+            for name, quantity in MIRROR_WEIGHT.items()
+        )
+        more: dict[str, Any] = {name: getattr(described, name) for name in OPTIONAL}
     runs: dict[Load, list[dict[str, Any]]] = {}
     lines = [
-        f"{described.instrument}: {actuators.n} actuators, weight {_newtons(weight, error)}",
+        f"{described.instrument}: {actuators.n} actuators, weight {weight:.4g} ± {error:.2g} N",
         f"  positions {', '.join(notes)}: {described.positions.file}",
-        *(
-            f"  load {load.name}: {_newtons(load.added, load.added_error)} added"
-            for load in loads
-            if load.added
-        ),
     ]
+    for load in loads:
+        if load.added:
+            line = f"  load {load.name}: {load.added:.4g} ± {load.added_error:.2g} N added"
+            lines.append(line)
     for load, files in zip(loads, described.loads, strict=True):
         cycles = runs.setdefault(load, [])
         for name in files.files:
@@ -135,20 +134,16 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
             lines.append(
                 f"  {load.name} {len(cycles):<4}{rows} rows, forces up to {largest:.3g} N: {name}"
             )
+    date = described.date
+    if date is None:
+        first = (folder / described.loads[0].files[0]).stat().st_mtime
+        date = datetime.datetime.fromtimestamp(int(first), tz=datetime.UTC)
+    more["date"] = date.replace(tzinfo=date.tzinfo or datetime.UTC)
     with naming(path):
-        made = Campaign.from_arrays(
-            described.instrument, actuators, weight, error, runs,
-            date=_date(described, folder), **more,
-        )  # fmt: skip
+        made = Campaign.from_arrays(described.instrument, actuators, weight, error, runs, **more)
         if doubt := check_size(actuators, made.weight):
             lines.insert(2, f"  UNLIKELY  {doubt}")
     return made, tuple(lines)
-
-
-def _newtons(weight: Any, error: Any) -> str:
-    """Return a weight with its standard uncertainty [N]."""
-    weight, error = (in_unit(each, "N", "weight", GRAVITY) for each in (weight, error))
-    return f"{-abs(weight):.4g} ± {abs(error):.2g} N"
 
 
 def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, tuple[str, ...]]:
@@ -170,36 +165,14 @@ def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, tuple[str,
         return made, notes
 
 
-def _date(described: CampaignFiles, folder: Path) -> datetime.datetime:
-    """Return the date of the campaign, or that of its first file (UTC)."""
-    if described.date is not None:
-        return described.date.replace(tzinfo=described.date.tzinfo or datetime.UTC)
-    first = folder / described.loads[0].files[0]
-    return datetime.datetime.fromtimestamp(int(first.stat().st_mtime), tz=datetime.UTC)
-
-
-def _weight(value: float | str, name: str) -> Any:
-    """Return a weight as a number [N] or a Quantity."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return u.Quantity(value)
-    except (TypeError, ValueError):
-        remedy = "give a force or a mass with its unit, as '45 g' or '-0.44 N'"
-        raise FormatError(f"{name} is '{value}'", remedy=remedy) from None
-
-
 def _load_of(given: LoadFiles) -> Load:
     """Return the load of some files."""
     if not given.files:
         raise FormatError(f"load '{given.name}' has no files", remedy="give a file for each cycle")
     if given.added_error is None and given.added:
         raise FormatError(f"load '{given.name}' lacks 'added_error'", remedy="add it")
-    weights = {
-        name: _weight(getattr(given, name) or 0.0, name) for name in ("added", "added_error")
-    }
-    values = {field.name: getattr(given, field.name) for field in fields(Load)}
-    return Load(**values | weights)
+    values = {name: value for name, value in vars(given).items() if name != "files"}
+    return Load(**values | {"added_error": given.added_error or 0.0})
 
 
 def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) -> dict[str, Any]:

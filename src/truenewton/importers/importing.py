@@ -173,7 +173,8 @@ def _checked(
 ) -> Checked:
     """Return an (n, n) matrix [N/m] with its positions, checked; lines on what was left out."""
     noted: list[tuple[str, str]] = []
-    silent = silent_actuators(k)
+    empty = ~(np.isfinite(k) & (k != 0.0))
+    silent = empty.all(axis=0) & empty.all(axis=1)  # row and column contain only zeros or NaN
     lost = silent & _nowhere(positions, silent)
     k = np.where(silent[:, None] | silent, 0.0, k)[np.ix_(~lost, ~lost)]
     positions = positions.part(np.flatnonzero(~lost))
@@ -404,12 +405,6 @@ class Judged(NamedTuple):
 
 
 Checked = tuple[StiffnessMatrix, Judged, Positions, list[tuple[str, str]]]
-
-
-def silent_actuators(k: Array) -> NDArray[np.bool_]:
-    """Return (n,) true if row and column of an (n, n) matrix contain only zeros or NaN."""
-    empty = ~(np.isfinite(k) & (k != 0.0))
-    return np.asarray(empty.all(axis=0) & empty.all(axis=1))
 
 
 def turned_sign(k: Array) -> tuple[Array, str]:

@@ -1,16 +1,6 @@
 """The input of an import: arrays, files, or the folder of a supervisor or of opticalib.
 
-The supervisor of the LBT's and Magellan's secondaries writes: `ff_matrix.fits` (m, m) [N/m], the
-feed-forward matrix, forces of actuators in rows; `ff_list.fits`, the m channels of the electronics;
-`ff_f_svec.fits`, `ff_p_svec.fits` and `ff_sval.fits`, its singular vectors as columns, and values,
-softest first: matrix = f_svec diag(sval) p_svec'. TRACKNUM is in their headers. In
-`act2mir_act.txt`, each channel has the number of its actuator, ring by ring from the innermost:
-number k (from 0) of ring r (from 1) with n actuators is at 90 deg + (k - r) 360 deg / n from x to
-y. `shell.txt` describes the rings. `act_coordinates.fits` contains positions of the channels, in mm
-along the curved surface.
-
-A configuration folder of opticalib has `ActuatorsCoordinates.fits` (n, 2) [mm], beside which `ff`
-of its mirror was saved as `ff_matrix.fits`.
+Their files are described in docs/import.md. TRACKNUM is in the headers of a supervisor's.
 """
 
 from __future__ import annotations
@@ -269,8 +259,8 @@ def places_of(
     """Return positions of (m,) channels, their file, and a text on how they were found."""
     numbers, shell, given = (find_file(name, *folders) for name in (NUMBERS, SHELL, POSITIONS))
     if mirror is None and given is not None:
-        places = read_positions(given)
-        return of_channels(places, channels, given), given, "radii along the surface, in mm"
+        places = of_channels(read_positions(given), channels, given)
+        return places, given, "radii along the surface, in mm"
     if numbers is None and mirror is not None:
         return mirror.layout, None, ""
     if numbers is None:

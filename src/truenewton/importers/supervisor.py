@@ -106,15 +106,17 @@ def export_supervisor(
         )
     known = np.isfinite(alpha)
     corrected = np.where(known, alpha, 1.0)[:, None] * matrix
-    lines = (
+    lines: tuple[str, ...] = (
         f"{folder}: {len(channels)} channels, each row of the matrix multiplied by alpha of"
         f" {calibration.instrument}, {np.nanmin(alpha):.3f} .. {np.nanmax(alpha):.3f}",
         f"  verdict on alpha: {verdict}",
         f"  scale of alpha: {calibration.scale}",
         "  forces are true Newtons: load alpha into the electronics together with these files",
         f"  track number {track}; of the measured matrix: {old}",
-        *([] if known.all() else [_unchanged(channels[~known])]),
     )
+    if not known.all():
+        unknown = named("channel", channels[~known].tolist(), MAX_NAMED)
+        lines += (f"  without alpha, so not multiplied: {unknown}",)
     with folder_beside(output, (".fits", README), overwrite=overwrite) as temporary:
         by = f"{calibration.instrument} {calibration.method}"[:60]
         contents = _write_files(temporary, channels, corrected, track=track, date=now, alpha=by)
@@ -140,11 +142,6 @@ def _write_files(
         record = SimpleNamespace(values=numbers, unit=unit, content=content, **values)
         write_fits(folder / f"{name}.fits", FORM, record)
         yield f"  {name + '.fits':<16}{content}{f' [{unit}]' * bool(unit)}"
-
-
-def _unchanged(channels: NDArray[np.int64]) -> str:
-    """Return which channels have no alpha."""
-    return f"  without alpha, so not multiplied: {named('channel', channels.tolist(), MAX_NAMED)}"
 
 
 def _measured(folder: Path) -> tuple[NDArray[np.int64], Array]:

@@ -128,7 +128,8 @@ def measured_from(given: Any, client: Client | None = None) -> Measured:
     """
     if isinstance(given, Measured):
         return given
-    items = [given] if isinstance(given, str | os.PathLike) or not _several(given) else [*given]
+    several = isinstance(given, Iterable) and not isinstance(given, str | os.PathLike)
+    items = [*given] if several and not hasattr(given, "dtype") else [given]
     if items and all(isinstance(one, str | os.PathLike) for one in items):
         return measured_in(open_files(items, client))
     cycles = tuple(one for one in items if isinstance(one, Cycle))
@@ -140,10 +141,6 @@ def measured_from(given: Any, client: Client | None = None) -> Measured:
         f"cannot calibrate a {type(wrong).__name__}; give a path, paths, cycles, a Campaign,"
         " StiffnessMatrix or SegmentedData"
     )
-
-
-def _several(given: Any) -> bool:
-    return isinstance(given, Iterable) and not hasattr(given, "dtype")
 
 
 def _measured(cycles: tuple[Cycle, ...], matrices: tuple[StiffnessMatrix, ...]) -> Measured:

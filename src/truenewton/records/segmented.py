@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.arrays import Array
+from truenewton.arrays import rms
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.records.campaign import Campaign, ordered_cycles, refuse_foreign
 from truenewton.records.cycle import Cycle
@@ -197,17 +197,13 @@ def segment_couplings(matrix: StiffnessMatrix) -> dict[int, tuple[float, float]]
         own, others = on & (segment == number), on & (segment != number)
         if not (own.any() and others.any()):
             continue
-        usual = _rms(matrix.stiffness[np.ix_(own, own)])
+        usual = rms(matrix.stiffness[np.ix_(own, own)])
         there = matrix.stiffness[np.ix_(others, own)]
         back = matrix.stiffness[np.ix_(own, others)].T
-        size = max(_rms(there), _rms(back))
+        size = max(rms(there), rms(back))
         if not size > ROUNDING * usual:
             continue
-        alike = float(np.mean(there * back)) / max(_rms(there) * _rms(back), 1e-300)
+        alike = float(np.mean(there * back)) / max(rms(there) * rms(back), 1e-300)
         if alike * np.sqrt(there.size) > MIN_RECIPROCITY or size > MAX_RELATIVE_RMS * usual:
             couplings[number] = size, usual
     return couplings
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
