@@ -67,6 +67,7 @@ def test_files_of_a_campaign_become_cycle_files(tmp_path, inside, ending, change
     code, out, error = inside("import", path, "-o", tmp_path / "made")
     assert (code, error) == (0, "")
     assert "MIRROR: 14 actuators" in out
+    assert f"calibrate {tmp_path / 'made'} -o {tmp_path / 'made-alpha.fits'}" in out
     made = tn.read(tmp_path / "made")
     for one, other in zip(made, CAMPAIGN, strict=True):
         np.testing.assert_allclose(one.force, other.force, rtol=1e-12)

@@ -317,7 +317,7 @@ def _print_matrix(
     elif not made.balanced and (calibration is None or calibration.verdict.level <= Level.REJECTED):
         then = "correct what is named above, then import again"
     elif not made.balanced and output is not None:
-        then = f"truenewton calibrate {output} -o alpha.fits"
+        then = _calibrating(output)
     values = {
         "instrument": made.matrix.instrument,
         "actuators": made.matrix.layout.n,
@@ -345,8 +345,14 @@ def _import_campaign(
     values = {"instrument": campaign.instrument, "actuators": campaign.layout.n}
     values |= {"found": {"cycles": lines[1:]}, "calibration": None}
     as_values = values if json else None
-    then = "" if output is None else f"truenewton calibrate {output} -o alpha.fits"
+    then = "" if output is None else _calibrating(output)
     print_result(lines, output, values=as_values, schema="import", quiet=quiet, then=then)
+
+
+def _calibrating(output: Path) -> str:
+    """Return the command that calibrates an output, into a file of another name beside it."""
+    alpha = output.with_name(f"{output.name.partition('.')[0]}-alpha.fits")
+    return shlex.join(["truenewton", "calibrate", str(output), "-o", str(alpha)])
 
 
 def _first_answer(made: Imported) -> tuple[list[str], Calibration | None]:
