@@ -26,14 +26,11 @@ from truenewton.statics.load import MIRROR_WEIGHT, Load
 OPTIONAL = ("gap", "force_error", "coil_gradient", "bias_gradient")
 
 
-@dataclass(frozen=True)
-class PositionsFile:
-    """Where the actuators are; ``unit`` of the file, ``curvature`` and ``arc`` as of `Surface`."""
+@dataclass(frozen=True, kw_only=True)
+class PositionsFile(Surface):
+    """The file of the positions."""
 
     file: str
-    unit: str = ""
-    curvature: float | None = None
-    arc: bool = False
 
 
 @dataclass(frozen=True)
@@ -150,8 +147,7 @@ def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, tuple[str,
     """Return the layout in a file of positions, and texts on what was found."""
     path = folder / given.file
     with naming(path):
-        found = read_positions(path)
-        at = in_metres(found, Surface(given.unit or None, given.curvature, given.arc))
+        at = in_metres(read_positions(path), given)
         notes = (
             at.notes if at.ids is not None else (*at.notes, "numbered from 1, as there is no ID")
         )

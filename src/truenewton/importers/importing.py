@@ -44,7 +44,6 @@ from truenewton.statics.layout import Layout, layout
 
 PathLike = str | os.PathLike[str]
 MIN_ORDER_SHARE = 0.2  # of the couplings, explained by distance
-MAX_NAMES = 12  # of actuators in a line
 
 
 @dataclass(frozen=True, repr=False)
@@ -126,7 +125,7 @@ def stiffness_from(
     <StiffnessMatrix of P45: 45 actuators>
     """
     rings = None if mirror is None else Rings.of(mirror)
-    given = read_given(matrix, coordinates, rings, dataset, Surface(lengths, curvature, arc))
+    given = read_given(matrix, coordinates, rings, dataset, Surface(lengths or "", curvature, arc))
     with naming(given.path or None):
         k, rows, part = _one_shell(given.item.values, shell)
         k, unit_line = in_newton_per_metre(k, unit, given.item.unit)
@@ -447,14 +446,14 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
     if gone.any():
         what = "disabled" if not pushing else "left enabled: around them columns do not"
         what += " balance, as if they had pushed" if pushing else ""
-        off_ids, zero = listed(matrix.layout.id[gone], MAX_NAMES), "rows and columns of zeros"
+        off_ids, zero = listed(matrix.layout.id[gone], MAX_NAMED), "rows and columns of zeros"
         lines.append(("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {off_ids}"))
     kept = [each for each in screened.warnings if each.code is Code.MISFITS_KEPT]
     lines += [("do not fit", each.fault) for each in kept]
     left_out = [each for each in screened.effects if each.code == Code.ACTUATOR_MISFIT]
     for reason in dict.fromkeys(each.detail for each in left_out):
         ids = [i for each in left_out if each.detail == reason for i in each.actuators]
-        which = named("actuator", ids, MAX_NAMES)
+        which = named("actuator", ids, MAX_NAMED)
         lines.append(("do not fit", f"{which}: {reason} (calibrate leaves them out)"))
     return Judged(tuple(lines), off, facts.looks_transposed, bool(balanced))
 

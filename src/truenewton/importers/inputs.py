@@ -162,7 +162,7 @@ def _in_folder(
         used = mirror if file is None else None
         found = read_positions(file) if file is not None else mirror and mirror.layout
     if file is not None and file.name == POSITIONS:
-        surface = replace(surface, lengths=surface.lengths or "mm", arc=True)
+        surface = replace(surface, unit=surface.unit or "mm", arc=True)
     where = os.fspath(file or "")
     positions, by_ring = (_in_metres(each, where, surface) for each in (found, by_ring))
     if by_ring is not None:

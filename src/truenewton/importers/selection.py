@@ -24,7 +24,7 @@ UNIT = re.compile(rf"(.*?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b({LENGTHS})[\])]?")
 POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
 ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
             "channel", "ch")  # fmt: skip
-MAX_NAMED = 8  # arrays and columns of a file
+MAX_NAMED = 12  # arrays, columns or actuators in a line
 MAX_COORDINATE = 1e12  # in any unit: a larger one is not a position
 # Distance of the farthest actuator from the mean position, by unit.
 LIKELY_SIZES = {"m": (0.02, 5.0), "mm": (40.0, 5e3), "um": (2e4, 5e6)}
@@ -223,22 +223,22 @@ class Surface:
 
     Attributes
     ----------
-    lengths
-        Their unit, or None: as declared by the file, or the likeliest by their size.
+    unit
+        Their unit, or '': as declared by the file, or the likeliest by their size.
     curvature
         Radius of curvature R of the surface [m], or None: NZ is that of the file, or 1.
     arc
         Whether radii are measured along the surface, R t, instead of from the axis, R sin t.
     """
 
-    lengths: str | None
-    curvature: float | None
-    arc: bool
+    unit: str = ""
+    curvature: float | None = None
+    arc: bool = False
 
 
 def in_metres(positions: Positions, surface: Surface) -> Positions:
     """Return positions in metres, on a curved surface with their directions."""
-    lengths, curvature, arc = surface.lengths, surface.curvature, surface.arc
+    curvature, arc = surface.curvature, surface.arc
     x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
     if x.shape != y.shape:
         raise FormatError(
@@ -247,7 +247,8 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
     x, y = (np.where(np.abs(values) < MAX_COORDINATE, values, np.nan) for values in (x, y))
     if not np.isfinite(x + y).any():
         raise FormatError("contains no finite positions", remedy="give X and Y")
-    unit, how = lengths or positions.unit, "as specified" if lengths else "as declared"
+    unit = surface.unit or positions.unit
+    how = "as specified" if surface.unit else "as declared"
     if not unit:
         unit, how = _likeliest_unit(x, y), "by their size"
     factor = _factor(unit, "m", "positions")
@@ -271,7 +272,7 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
         x, y, nz = x * shrunk, y * shrunk, np.sqrt(1.0 - sine**2)
         notes.append(f"R {curvature:g} m{', radii along the surface' if arc else ''}")
     elif nz is None:
-        notes.append("NZ 1, a flat mirror (give the curvature of another)")
+        notes.append("NZ 1 (no curvature given)")
     if nz is not None:
         notes.append(f"NZ {np.nanmin(nz):.4f} .. {np.nanmax(nz):.4f}")
     return replace(positions, x=x, y=y, unit="m", nz=nz, notes=tuple(notes))

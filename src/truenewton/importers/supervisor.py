@@ -22,10 +22,10 @@ from truenewton.files.fits import write_fits
 from truenewton.files.format import FileFormat, Keyword
 from truenewton.files.outputs import folder_beside
 from truenewton.importers.inputs import MATRIX, TRACK_NUMBER, channels_of, only_array
+from truenewton.importers.selection import MAX_NAMED
 from truenewton.importers.stored import read_stored
 from truenewton.rounding import named
 
-MAX_NAMED = 12  # channels
 README = "README.txt"
 HOW_TO_USE = """
 Direction: alpha = true Newton / commanded Newton. Row i of ff_matrix was MULTIPLIED by alpha of the
