@@ -136,7 +136,7 @@ def test_a_table_with_a_column_for_each_actuator_makes_a_campaign():
     made = tn.Campaign.from_dataframe(*given, columns={"force": "F{id}"}, units=units)
     for one, other in zip(made, CAMPAIGN, strict=True):
         np.testing.assert_allclose(one.force, other.force, rtol=1e-14)
-    with pytest.raises(FormatError, match=r"no column 'actuator'; .* columns={'force': 'F{id}'}"):
+    with pytest.raises(FormatError, match=r"no column 'force'; .* columns={'force': 'F{id}'}"):
         tn.Campaign.from_dataframe(*given, units=units)
 
 

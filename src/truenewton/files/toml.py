@@ -46,7 +46,7 @@ def _filled(
 ) -> Filled:
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     prefix = _prefix(where)
-    _check_keys(table, tuple(fields), where, above)
+    check_keys(table, tuple(fields), where, above)
     hints, values = get_type_hints(kind), {}
     for name, field in fields.items():
         if name in table:
@@ -61,17 +61,9 @@ def _filled(
 
 
 def check_keys(
-    table: Mapping[str, Any], known: Sequence[str], path: object, where: str = ""
+    table: Mapping[str, Any], known: Sequence[str], where: str, above: Sequence[str] = ()
 ) -> None:
-    """Refuse the first key of a table that is none of those known."""
-    with naming(path):
-        _check_keys(table, known, where, ())
-
-
-def _check_keys(
-    table: Mapping[str, Any], known: Sequence[str], where: str, above: Sequence[str]
-) -> None:
-    """Refuse a key; it may belong into the table ``above``."""
+    """Refuse the first key of a table that is none of those known; it may belong ``above``."""
     for key in table:
         if key in known:
             continue

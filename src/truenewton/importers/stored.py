@@ -237,7 +237,8 @@ def table_in(text: str) -> TextTable:
     if between.delimiter == ";":  # then it begins no comment
         data = [line for line in every if line.text[0] not in COMMENT.replace(";", "")]
     above: list[str] = []
-    while len(data) > 1 and not _has_number(data[1].text, between):  # a header of several lines
+    while len(data) > 1 and not any(map(NUMBER.fullmatch, _cells(data[1].text, between))):
+        # a header of several lines
         above, data = _cells(data[0].text, between), data[1:]
     names = _cells(data[0].text, between)
     if len(above) == len(names) and all(UNIT_CELL.fullmatch(name) for name in names):
@@ -281,10 +282,6 @@ def _cells(line: str, between: Between) -> list[str]:
     line = line.replace(",", ".") if between.comma else line
     cells = [cell.strip().strip("'\"").strip() for cell in line.split(between.delimiter)]
     return [LOGICAL.get(cell.lower(), cell) for cell in cells]
-
-
-def _has_number(line: str, between: Between) -> bool:
-    return any(NUMBER.fullmatch(cell) for cell in _cells(line, between))
 
 
 def _is_named_row(cells: list[str], others: list[Line], between: Between) -> bool:

@@ -163,7 +163,8 @@ def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Pa
         return tables, path
     outline, points = shell["outline"], path
     known = ("points", *(field.name for field in fields(Outline)))
-    check_keys(outline, known, path, "shell.outline")
+    with naming(path):
+        check_keys(outline, known, "shell.outline")
     if isinstance(outline.get("points"), str):
         for twice in {"edge", "holes"} & set(outline):
             raise FormatError(

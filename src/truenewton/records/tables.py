@@ -151,25 +151,21 @@ def cycles_in_table(
     known = {name: columns.get(name, name) for name in OF_TABLE}
     required = ["load", *REQUIRED]
     wide = [name for name in MATRICES if "{id}" in known[name]]  # a column for each actuator
-    if not wide:
-        required.append("actuator")
-    of_each = {name: [known[name].format(id=k) for k in actuators.id] for name in wide}
-    named = {name: of_each.get(name, [of]) for name, of in known.items()}
-    for name, parts in named.items():
-        missing = [part for part in parts if part not in there]
-        if missing and (name in required or name in wide):
-            remedy = f"name it by columns={{...}}; there is {listed(there, 12)}"
-            if name in ("actuator", "force") and not wide:
-                remedy += "; for one column of each actuator, columns={'force': 'F{id}'}"
-            raise FormatError(f"the table has no column '{missing[0]}'", remedy=remedy)
+    required += wide or ["actuator"]
+    named = {name: [of] for name, of in known.items()}
+    named |= {name: [known[name].format(id=k) for k in actuators.id] for name in wide}
+    missing = [part for name in required for part in named[name] if part not in there]
+    if missing:
+        remedy = f"name it by columns={{...}}; there is {listed(there, 12)}"
+        if not wide:
+            remedy += "; for one column of each actuator, columns={'force': 'F{id}'}"
+        raise FormatError(f"the table has no column '{missing[0]}'", remedy=remedy)
     used = {name: parts for name, parts in named.items() if set(parts) <= set(there)}
     _require_names(units, (), ("positions", *(name for name in ARRAYS if name in used)))
     values = {}
     for name, parts in used.items():
-        own = [_in_si({name: table[part]}, units)[name] for part in parts]
-        values[name] = np.stack([np.asarray(part) for part in own], axis=-1)
-        if name not in wide:
-            values[name] = values[name][:, 0]
+        own = [np.asarray(_in_si({name: table[part]}, units)[name]) for part in parts]
+        values[name] = np.stack(own, axis=-1) if name in wide else own[0]
     of_load = np.array([str(name).strip().casefold() for name in values["load"]])
     if unknown := sorted(set(of_load) - {load.key for load in loads}):
         raise FormatError(
@@ -187,8 +183,12 @@ def cycles_in_table(
             with naming(f"load '{load.name}', cycle {k}"):
                 some = mine & (number == k)
                 one = {name: column[some] for name, column in values.items()}
-                rows = {k: v for k, v in one.items() if k in ARRAYS} if wide else None
-                found[load].append({"number": int(k), **(rows or wide_rows(one, actuators))})
+                rows = (
+                    wide_rows(one, actuators)
+                    if not wide
+                    else {name: column for name, column in one.items() if name in ARRAYS}
+                )
+                found[load].append({"number": int(k), **rows})
     return found
 
 
