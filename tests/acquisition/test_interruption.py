@@ -333,12 +333,13 @@ def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_p
     assert (code, err) == (0, "")
     assert out.splitlines()[0].startswith("'bare' is on: no other load to compare with yet")
     assert out.splitlines()[1].startswith("'ring' is on: the sum of the forces is")
-    assert out.splitlines()[2:] == [f"{output}: complete, 2 loads x 2 cycles"]
+    then = f"next: truenewton calibrate {output} -o alpha.fits"
+    assert out.splitlines()[2:] == [f"{output}: complete, 2 loads x 2 cycles", then]
     truth = tmp_path / "c.truth.fits"
     sealed = truth.read_bytes()
     truth.unlink()  # as where it was killed just before
     assert inside("acquire", plan, "-o", output) == (
-        0, f"{output}: complete already, 2 loads x 2 cycles\n", ""
+        0, f"{output}: complete already, 2 loads x 2 cycles\n{then}\n", ""
     )  # fmt: skip
     assert truth.read_bytes() == sealed
     code, _, err = inside("acquire", plan_file(tmp_path, cycles=3), "-o", output)
