@@ -107,7 +107,7 @@ def test_centimetres_for_millimetres_are_doubted_and_options_of_a_matrix_refused
     assert "UNLIKELY  actuators are up to 1000 mm from the axis, and the mirror weighs" in out
     code, _, error = inside("import", path, "positions.csv", "--transpose")
     assert code == 2
-    assert "POSITIONS and --transpose are for a matrix; leave it out, " in error
+    assert "only a matrix is imported with POSITIONS and --transpose; give " in error
 
 
 def test_segments_are_described_one_by_one_with_text_ids_in_any_order(tmp_path, inside):

@@ -258,8 +258,8 @@ def run_import(
     if matrix.suffix.lower() == ".toml":
         names = ["POSITIONS"] if coordinates else []
         if names := names + [f"--{name}" for name, value in of_matrix.items() if value]:
-            fault = f"{listed(names, 9)} {'are' if len(names) > 1 else 'is'} for a matrix"
-            raise typer.BadParameter(f"{fault}; leave it out, {matrix} describes all")
+            fault = f"only a matrix is imported with {listed(names, 9)}"
+            raise typer.BadParameter(f"{fault}; give {matrix} alone: it describes the campaign")
         _import_campaign(matrix, output, overwrite=overwrite, json=json, quiet=quiet)
         return
     from truenewton.importers.importing import stiffness_from
