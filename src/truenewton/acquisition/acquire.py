@@ -77,10 +77,10 @@ def acquire(
     operator: Operator | None = None,
     onlooker: Onlooker | None = None,
 ) -> tuple[Path, ...]:
-    """Run a plan on a bench, or go on with it, into a folder of cycle files (docs/campaign.md).
+    """Run or resume a plan on a bench, into a folder of cycle files (docs/campaign.md).
 
-    Whatever ends it, the mirror is brought to rest, and what was taken is kept: the same call goes
-    on where it stopped, and at most the shape under way is taken again.
+    The mirror is always brought to rest at the end. The same call resumes after a stop, and repeats
+    at most one shape.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def acquire(
     beside
         The folder to which the files that the plan names are relative.
     operator, onlooker
-        Puts the loads on, by default the bench; is shown the progress.
+        Mounts the loads, by default the bench; is shown the progress.
 
     Returns
     -------
@@ -107,9 +107,9 @@ def acquire(
     LimitExceeded
         A command or a reading beyond a limit of the plan.
     BenchFault
-        The bench is gone, gives no sound readings, or a load is not on.
+        The bench does not answer, gives invalid readings, or a load is not in place.
     Interrupted
-        Someone stopped it (Ctrl-C; a second one raises KeyboardInterrupt at once).
+        Ctrl-C; a second one raises KeyboardInterrupt at once.
     OutputExists, OutputFailed, UnreadableFile, FormatError
         The folder cannot be used.
 
@@ -141,9 +141,7 @@ def acquire(
                 operator=operator,
                 taker=Taker(bench, plan, log, onlooker or SilentOnlooker(), interruption, progress),
                 complete=complete,
-                rest_sums={
-                    key: each.total for (key, _), each in complete.items() if each.total is not None
-                },
+                rest_sums={key: c.total for (key, _), c in complete.items() if c.total is not None},
                 clock=SteadyClock(max((each.end for each in complete.values()), default=None)),
             )
             _note_start(run)

@@ -96,14 +96,11 @@ def static_bench(
     mirror
         The nominal mirror.
     seed
-        Of alpha, bias magnets, sensors, the errors of the weights and of the centring of the tool,
-        and the noise.
+        Of all that is random: alpha, bias magnets, sensors, errors of weights and tool, noise.
     loads
         The loads as declared; by default without and with the mirror's own tool.
-    stroke
-        Largest displacement of an actuator [m].
-    force_limit
-        Largest force, true and commanded, of an actuator in any shape [N].
+    stroke, force_limit
+        Largest displacement [m], and force, true and commanded [N], of an actuator in any shape.
     force_noise
         Standard deviation of one commanded-force reading [N].
     temperature
@@ -132,14 +129,7 @@ def static_bench(
     glass = glass or model_shell(mirror)
     added, tilt, external = _drawn_loads(mirror, loads, weight, bias, random)
     load_force = np.array([forces_under(glass, each) for each in external])
-    shift = np.array(
-        [
-            (load.coil_shift or 0.0) + random.normal(0.0, load.coil_shift_error)
-            if load.coil_shift_error
-            else load.coil_shift or 0.0
-            for load in loads
-        ]
-    )
+    shift = np.array([_drawn_shift(load, random) for load in loads])
     k = np.array([external_resultants(mirror, each) for each in external])
     coils = Coils(alpha, bias_gradient=mirror.bias_gradient,
                   coil_gradient=mirror.coil_gradient, temperature=temperature)  # fmt: skip
@@ -168,6 +158,12 @@ def static_bench(
     return StaticBench(
         mirror, truth, glass, coils, sensors, loads, shapes, load_force, shift, force_noise
     )
+
+
+def _drawn_shift(load: Load, random: np.random.Generator) -> float:
+    """Return how far the coils are shifted under a load [m], drawn within its error."""
+    shift = load.coil_shift or 0.0
+    return shift + random.normal(0.0, load.coil_shift_error) if load.coil_shift_error else shift
 
 
 def _drawn_loads(
