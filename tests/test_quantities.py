@@ -27,6 +27,7 @@ N, ROWS = 4, 6
 LAYOUT = tn.layout(
     [0.1, 0.2, 0.3, 0.4], [0.0, 0.1, 0.0, 0.1], nz=np.full(N, 0.9), x_error=np.full(N, 1e-4),
     y_error=np.full(N, 2e-4), id=[5, 6, 7, 8], segment=np.ones(N, dtype=int),
+    number=[2, 1, 4, 3],
 )  # fmt: skip
 LOAD = tn.Load("ring", -0.3, 0.01, "A", 1.5, 0.2, 1e-6, 5e-7)
 RANDOM = np.random.default_rng(1)

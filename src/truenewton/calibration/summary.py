@@ -52,7 +52,7 @@ def summary_lines(calibration: AnyCalibration, changes: Iterable[str] = ()) -> I
     yield from starmap(row, _of_parts(c) if has_parts(c) else _results(c))
     if not has_parts(c) and c.unseen:
         yield "  undetectable here, not in E_ALPHA:"
-        yield from (f"    {percent(each.relative):<8}if {each.name}" for each in c.unseen)
+        yield from (f"    {percent(each.relative):<7} if {each.name}" for each in c.unseen)
     yield from changes
     yield from verdict_lines(c.verdict)
 

@@ -216,15 +216,16 @@ def layout(
     x_error: ArrayLike | None = None,
     y_error: ArrayLike | None = None,
     segment: ArrayLike | None = None,
+    number: ArrayLike | None = None,
 ) -> Layout:
-    """Make a layout; by default names count from 1, forces point along +z, all are enabled.
+    """Return a layout; by default IDs count from 1, forces point along +z, and all are enabled.
 
     Parameters
     ----------
     x, y
         (n,) positions: numbers [m], or Quantities of any length.
-    id, nz, enabled, x_error, y_error, segment
-        (n,) each, see `Layout`, which also tells what is refused.
+    id, nz, enabled, x_error, y_error, segment, number
+        (n,) each, see `Layout`, which also lists what is refused.
 
     Examples
     --------
@@ -237,7 +238,7 @@ def layout(
         "id": np.arange(1, n + 1) if id is None else id,
         "nz": np.ones(n) if nz is None else nz,
         "enabled": np.ones(n, dtype=bool) if enabled is None else enabled,
-        "x_error": x_error, "y_error": y_error, "segment": segment,
+        "x_error": x_error, "y_error": y_error, "segment": segment, "number": number,
     }  # fmt: skip
     return Layout(x=x, y=y, **columns)  # type: ignore[arg-type]
 
