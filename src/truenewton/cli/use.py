@@ -177,9 +177,8 @@ def run_modes(
             alpha = read_alpha(calibration, segment=segment)
             alpha = usable(alpha, accept_rejected=anyway, path=calibration)
         found = find_modes(
-            data, alpha, atmosphere, diameter=diameter, radius=radius,
-            efficiency=efficiency,
-            motion=motion, off=floating, slaved=follows, accept_rejected=anyway,
+            data, alpha, atmosphere, diameter=diameter, radius=radius, accept_rejected=anyway,
+            efficiency=efficiency, motion=motion, off=floating, slaved=follows,
         )  # fmt: skip
         shown, as_values = lines(found, limits), values(found, limits) if json else None
         with atomic_outputs():
