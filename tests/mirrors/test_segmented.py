@@ -306,7 +306,7 @@ def check_edges_on_maps(inside, whole, tiny, made):
     code, _, error = inside("report", made, "--mirror", tiny, "-o", page)
     assert code == 0, error
     text = page.read_text("utf-8")
-    assert "Lines are the edges of the glass." in text
+    assert "Lines: edges of the glass." in text
     x, y = (json.loads(re.findall(rf'\["{k}s",(\[\[.*?\]\])\]', text)[0]) for k in "xy")
     for edge, at_x, at_y in zip(edges, x, y, strict=True):
         closed = np.concatenate([edge, edge[:1]])

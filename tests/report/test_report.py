@@ -48,7 +48,7 @@ alpha: 0.73447 .. 1.02071 (true N / commanded N; actuators 1 and 3)
 typical error of alpha: 0.019 % (E_ALPHA, one sigma)
 common scale: 0.0069 % (E_SYST, from the weights)
 - 3 rows did not fit and were left out; the farthest: cycle 1 row 3, 372 sigma from its repeats,\
- mostly by actuator 6. Look at the residuals, and at an actuator that is named repeatedly.""",
+ mostly by actuator 6. Check the residuals, and an actuator that is named repeatedly.""",
     "one_load": """\
 No alpha. These data of TEST cannot give alpha.
 - There is only one load, 'bare', so the common scale is free. Add cycles under a load of another\
@@ -238,7 +238,7 @@ def test_worst_residuals_and_bad_actuators_are_listed_with_their_ids(p45):
     place = f"shape {residuals.signed_shape[worst]} of cycle {residuals.cycle[worst] + 1} "
     assert rows["rows least in balance"].startswith(place)
     assert rows["outliers: alpha"].startswith("17 (")
-    assert rows["named in findings"] == "17 (1.0)"
+    assert rows["named in findings"] == "17 (1)"
     disabled = investigate(report_data.fine(disabled=(4,))).calibration
     look = what_to_look_at(disabled, layers_of(disabled), ())
     assert look.tables[0].rows[0][:2] == ("disabled actuators", "5")

@@ -73,7 +73,7 @@ LAST_THREE = np.array([0.0, 1, 0, -1, 0.5, 0.6, 0.7]), np.array([1.0, 0, -1, 0, 
 @pytest.mark.parametrize(
     ("places", "said"),
     [
-        (([0.0, 1, 0, 1], [0.0, 0, 1, 1]), "only 4 actuators enabled; enable five"),
+        (([0.0, 1, 0, 1], [0.0, 0, 1, 1]), "only 4 actuators enabled; enable at least five"),
         (LAST_THREE, "last three actuators are collinear"),
     ],
 )

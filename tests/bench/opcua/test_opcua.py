@@ -316,7 +316,7 @@ def test_what_the_bench_raises_comes_out_as_it_is(recorder, keys_folder):
         there.put_on(BARE)
         with pytest.raises(BenchFault, match="3 displacements for 8"):
             there.command(Shape(BARE, 1, 1, 1, np.zeros(3)))
-        with pytest.raises(BenchFault, match=r"is for load 'ring', .* 'bare' on the mirror"):
+        with pytest.raises(BenchFault, match=r"is for load 'ring', .* 'bare' is on the mirror"):
             there.command(Shape(tn.Load("ring"), 1, 1, 1, np.zeros(8)))
         with pytest.raises(BenchFault, match="not finite"):
             there.command(Shape(BARE, 1, 1, 1, np.full(8, np.nan)))
