@@ -22,7 +22,8 @@ from truenewton.estimation.findings.estimate import (
     typical,
 )
 from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
-from truenewton.files.format import attributes, columns_by_name
+from truenewton.files.format import attributes
+from truenewton.files.values import Columns, Values
 from truenewton.records.campaign import Campaign
 from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import KINDS, Summary, summary_of
@@ -106,40 +107,40 @@ def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Itera
         yield f"  and {counted(len(rows) - 5, 'row')} more"
 
 
-def summary_values(calibration: AnyCalibration) -> dict[str, Any]:
-    """Return the same figures for a script."""
-    c, table = calibration, KINDS[Calibration].actuators if has_parts(calibration) else ACTUATORS
-    actuators = columns_by_name(c, table, "alpha", "e_alpha", "e_stat", "e_syst", "e_cycle")
-    if has_parts(c):
-        return {
-            "instrument": c.instrument,
-            "date": _first_date(c),
-            "verdict": c.verdict,
-            "actuators": {**attributes(c.layout, "id", "segment"), **actuators},
-            "segments": [
-                {"segment": number, **summary_values(c.found[number])}
-                if number in c.found
-                else {"segment": number, "verdict": no_alpha(c.failed[number])}
-                for number in c.numbers
-            ],
-        }
+def _loads(c: Calibration) -> list[dict[str, Any]]:
     errors = c.torque_errors
     torques = c.loads, c.torque_y, errors[:, 0], c.torque_x, errors[:, 1]
     names = "load", "torque_y", "e_torque_y", "torque_x", "e_torque_x"
+    return [
+        dict(zip(names, (load.name, *of_it), strict=True))
+        for load, *of_it in zip(*torques, strict=True)
+    ]
+
+
+COLUMNS = "alpha", "e_alpha", "e_stat", "e_syst", "e_cycle"
+VALUES = Values(
+    Calibration, "instrument", "date", "verdict", "method", "scale", ("shapes", "shapes_used"),
+    "invalid", "rejected", "noise", "condition", "solved_condition", "rank",
+    ("separation", "diagnosis.separation"), ("warnings", "diagnosis.warnings.fault"),
+    "bias_force", ("e_bias_force", "bias_force_error"), ("loads", _loads),
+    ("actuators", Columns(ACTUATORS, "id", *COLUMNS)),
+    "chi2", "degrees_of_freedom", "goodness", "scale_errors", "effects", "unseen", "sensors",
+    ("weakest", "diagnosis.weakest"), ("imbalance", "imbalances"), ("matrix", "matrix_facts"),
+    "halves",
+)  # fmt: skip
+
+
+def summary_values(calibration: AnyCalibration) -> dict[str, Any]:
+    """Return the same figures for a script."""
+    c = calibration
+    if not has_parts(c):
+        return dict(VALUES.of(c))
+    actuators = Columns(KINDS[Calibration].actuators, "id", "segment", *COLUMNS).of(c)
+    segments = c.values(summary_values, lambda faults: {"verdict": no_alpha(faults)})
     return {
-        **attributes(c, "instrument", "date", "verdict", "method", "scale", shapes="shapes_used"),
-        **attributes(c, "invalid", "rejected", "noise", "condition", "solved_condition", "rank"),
-        **attributes(c, separation="diagnosis.separation", warnings="diagnosis.warnings.fault"),
-        **attributes(c, "bias_force", e_bias_force="bias_force_error"),
-        "loads": [
-            dict(zip(names, (load.name, *of_it), strict=True))
-            for load, *of_it in zip(*torques, strict=True)
-        ],
-        "actuators": {"id": c.layout.id, **actuators},
-        **attributes(c, "chi2", "degrees_of_freedom", "goodness", "scale_errors", "effects"),
-        **attributes(c, "unseen", "sensors", weakest="diagnosis.weakest"),
-        **attributes(c, imbalance="imbalances", matrix="matrix_facts", halves="halves"),
-    }
+        "instrument": c.instrument, "date": _first_date(c), "verdict": c.verdict,
+        "actuators": actuators, "segments": segments,
+    }  # fmt: skip
 
 
 def _first_date(c: Parts[Calibration]) -> datetime.datetime:

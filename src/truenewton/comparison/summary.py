@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from truenewton.calibration.summary import as_sentences, verdict_lines
 from truenewton.comparison.calibrations import CHANGE, Change
+from truenewton.comparison.pairing import Matching
 from truenewton.comparison.result import CHANGES, Comparison
-from truenewton.files.format import attributes, columns_by_name
-from truenewton.records.file import NZ
-from truenewton.records.parts import Parts, has_parts
+from truenewton.files.values import Columns, Values
+from truenewton.records.parts import Parts, fault_values, has_parts
 from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import counted, named, percent, row, with_error
 
@@ -114,38 +115,28 @@ def _lines_of_calibrations(c: Change) -> Iterator[str]:
     yield "  Two stiffness matrices would show smaller changes, and those of the sensors."
 
 
+def _couplings(c: Comparison) -> list[dict[str, Any]]:
+    return [dict(zip(("actuator", "sensor", "change"), one, strict=True)) for one in c.couplings]
+
+
+VALUES = Values(
+    Comparison, "instrument", "common", "common_error", "alpha_scatter", "sensor_scatter",
+    "noise_law", "relative_noise", "pattern", "tails", "resemblance", "excess",
+    ("actuators", Columns(CHANGES)), ("couplings", _couplings),
+    *((each.name, f"matching.{each.name}") for each in fields(Matching)),
+    ("undetectable", lambda _: UNDETECTABLE), "verdict",
+)  # fmt: skip
+CHANGE_VALUES = Values(
+    Change, ("instrument", "one.instrument"), "ratio", "ratio_error", "limit",
+    ("actuators", Columns(CHANGE)), ("changed", lambda c: c.layout.id[c.changed]),
+)  # fmt: skip
+
+
 def values(c: Comparison | Parts[Comparison] | Change) -> dict[str, Any]:
     """Return the same for a script."""
     if has_parts(c):
-        parts = [
-            {"segment": number, **values(c.found[number])}
-            if number in c.found
-            else {"segment": number, "faults": [each._asdict() for each in c.failed[number]]}
-            for number in c.numbers
-        ]
-        return {"instrument": c.instrument, "segments": parts}
-    table = CHANGE if isinstance(c, Change) else CHANGES
-    names = [each.name.lower() for each in table.columns if each != NZ]
-    actuators = columns_by_name(c, table, *names)
-    if isinstance(c, Change):
-        return {
-            "instrument": c.one.instrument,
-            **attributes(c, "ratio", "ratio_error", "limit"),
-            "actuators": actuators,
-            "changed": c.layout.id[c.changed],
-        }
-    return {
-        **attributes(c, "instrument", "common", "common_error", "alpha_scatter", "sensor_scatter"),
-        **attributes(c, "noise_law", "relative_noise", "pattern", "tails", "resemblance", "excess"),
-        "actuators": actuators,
-        "couplings": [
-            {"actuator": actuator, "sensor": sensor, "change": size}
-            for actuator, sensor, size in c.couplings
-        ],
-        **vars(c.matching),
-        "undetectable": UNDETECTABLE,
-        "verdict": c.verdict,
-    }
+        return {"instrument": c.instrument, "segments": c.values(values, fault_values)}
+    return dict((CHANGE_VALUES if isinstance(c, Change) else VALUES).of(c))
 
 
 @summary_of.register(Comparison)

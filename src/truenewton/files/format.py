@@ -156,13 +156,6 @@ def attributes(record: Any, *names: str, **others: Attribute) -> dict[str, Any]:
     }
 
 
-def columns_by_name(record: Any, table: TableFormat, *names: str) -> dict[str, Any]:
-    """Return the columns of a table with these names, which are in lower case here."""
-    rows = value_of(record, table.of)
-    columns = {column.name.lower(): column.attribute for column in table.columns}
-    return {name: value_of(rows, columns[name]) for name in names}
-
-
 def _part(record: Any, part: Attribute) -> Any:
     if callable(part):
         return part(record)

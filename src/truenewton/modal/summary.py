@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.summary import warning_lines
-from truenewton.files.format import attributes
-from truenewton.modal.findings import ModalFindings
+from truenewton.files.values import Values
+from truenewton.modal.findings import ModalFindings, ModesComparison
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.parts import Parts, has_parts
@@ -228,47 +228,46 @@ def _costs(findings: ModalFindings) -> Iterator[tuple[Dissipation, Dissipation |
     yield from zip(after, before, strict=True)
 
 
+VALUES = Values(
+    ModalFindings, ("instrument", "after.matrix.instrument"), ("date", "after.matrix.date"),
+    ("method", "calibration.method"), ("scale", "calibration.scale"),
+    ("verdict", "calibration.verdict"),
+    ("seeing", "after.seen.atmosphere.seeing"),
+    ("fried_parameter", "after.seen.atmosphere.fried_parameter"),
+    ("outer_scale", "after.seen.atmosphere.outer_scale"),
+    ("diameter", "after.seen.pupil.diameter"), ("radius", "after.seen.pupil.radius"),
+    ("efficiency", lambda f: f.after.costs[0].efficiency if f.after.costs else None, float),
+    ("fitting_error", "after.seen.fitting_error"), ("static_force", "after.static"),
+    ("stiffness", "after.modes.stiffness"), "asymmetry", "imbalance",
+    ("rigid_stiffness", lambda f: f.after.modes.stiffness[:3]),
+    ("sensor_gain", "after.stiffness.enabled_gain"),
+    ("sensor_offset", "after.stiffness.enabled_offset"),
+    ("uncalibrated_modes", Values(
+        ModesComparison, "distance", "overlap", "orders", "largest_angle",
+        path=lambda f: f.comparison if f.compares else None,
+    )),
+    ("warnings", lambda f: [[each.fault, each.remedy] for each in f.warnings]),
+)  # fmt: skip
+MEASURED = Values(
+    MeasuredStiffness, "shapes", "rows", "residual", "misfit", "relative_error", "rigid_assumed",
+    ("rejected", lambda measured: len(measured.rejected), int),
+)  # fmt: skip
+
+
 def values(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> dict[str, Any]:
     """Return the values for a script."""
     if has_parts(findings):
-        of_each = {number: values(one, limits) for number, one in findings.found.items()}
-        for number, (fault, *_) in findings.failed.items():
-            of_each[number] = {"fault": fault._asdict()}
-        return {"segments": [{"segment": k} | of_each[k] for k in findings.numbers]}
-    base, measured = findings.after, findings.measured
-    figures: dict[str, Any] = {
-        **attributes(base.matrix, "instrument", "date"),
-        **attributes(findings.calibration, "method", "scale", "verdict"),
-        **attributes(base, seeing="seen.atmosphere.seeing"),
-        **attributes(base, fried_parameter="seen.atmosphere.fried_parameter"),
-        **attributes(base, outer_scale="seen.atmosphere.outer_scale"),
-        **attributes(base, diameter="seen.pupil.diameter", radius="seen.pupil.radius"),
-        "efficiency": base.costs[0].efficiency if base.costs else None,
-        **attributes(base, fitting_error="seen.fitting_error", static_force="static"),
-        "stiffness": base.modes.stiffness,
-        **attributes(findings, "asymmetry", "imbalance"),
-        "rigid_stiffness": base.modes.stiffness[:3],
-        **attributes(base.stiffness, sensor_gain="enabled_gain", sensor_offset="enabled_offset"),
-        "uncalibrated_modes": attributes(
-            findings.comparison, "distance", "overlap", "orders", "largest_angle"
-        )
-        if findings.compares
-        else None,
-        "limits": limits,
-        "warnings": [[each.fault, each.remedy] for each in findings.warnings],
-        "bases": [
-            {
-                "base": cost.base,
-                **{name: summary(cost) for name, _, summary in SUMMARIES},
-                "modes_within": cost.modes_within(limits),
-                "modes_between": findings.modes_between(cost, limits),
-                "modes_within_uncalibrated": uncalibrated and uncalibrated.modes_within(limits),
-            }
-            for cost, uncalibrated in _costs(findings)
-        ],
-    }
-    if measured is not None:
-        figures["measured"] = attributes(
-            measured, "shapes", "rows", "residual", "misfit", "relative_error", "rigid_assumed"
-        ) | {"rejected": len(measured.rejected)}
-    return figures
+        failed = lambda faults: {"fault": faults[0]._asdict()}  # noqa: E731
+        return {"segments": findings.values(lambda one: values(one, limits), failed)}
+    bases = [
+        {
+            "base": cost.base,
+            **{name: summary(cost) for name, _, summary in SUMMARIES},
+            "modes_within": cost.modes_within(limits),
+            "modes_between": findings.modes_between(cost, limits),
+            "modes_within_uncalibrated": uncalibrated and uncalibrated.modes_within(limits),
+        }
+        for cost, uncalibrated in _costs(findings)
+    ]
+    measured = {} if findings.measured is None else {"measured": MEASURED.of(findings.measured)}
+    return {**VALUES.of(findings), "limits": limits, "bases": bases, **measured}

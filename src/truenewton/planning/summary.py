@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from itertools import starmap
 from typing import Any
 
 import numpy as np
 
 from truenewton.acquisition.load_order import (
+    Mounting,
     OrderCost,
     mountings,
     reading_time,
@@ -18,8 +20,8 @@ from truenewton.acquisition.load_order import (
 from truenewton.acquisition.taker import POSITION_SIGMAS, POSITION_TOLERANCE
 from truenewton.calibration.summary import warning_lines
 from truenewton.estimation.findings.estimate import scale_budget
-from truenewton.files.format import attributes
-from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction
+from truenewton.files.values import Values
+from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction, WithSensors
 from truenewton.planning.prediction import Prediction
 from truenewton.rounding import counted, percent, row, table_lines
 
@@ -207,70 +209,67 @@ def _time(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
+def _mountings(outcome: PlanPrediction) -> tuple[Mounting, ...]:
+    return tuple(mountings(outcome.ready.plan, len(outcome.ready.shapes)))
+
+
+TYPICAL = "typical_error", "typical_e_stat", "typical_e_syst"
+STATISTICAL = ("e_stat", "statistical_error")
+SYSTEMATIC = ("e_syst", "systematic_error")
+ERRORS = ("e_alpha", "error"), STATISTICAL
+CURVE = "error", STATISTICAL
+CURVES = Values(
+    PlanPrediction,
+    ("cycles", Values(Curve, ("cycles", "values"), *CURVE, SYSTEMATIC, path="against_cycles")),
+    ("added_factor",
+     Values(Curve, ("added_factor", "values"), *CURVE, SYSTEMATIC, path="against_weight")),
+)  # fmt: skip
+MOUNTINGS = Values(
+    Mounting, ("load", "load.name"), ("cycles", lambda one: (one.cycles[0], one.cycles[-1])),
+    "start", "end", path=_mountings,
+)  # fmt: skip
+VALUES = Values(
+    PlanPrediction, ("instrument", "ready.mirror.name"),
+    ("shapes", lambda p: len(p.ready.shapes), int),
+    ("cycles", "ready.plan.cycles"), ("loads", "ready.plan.loads"), ("turns", "ready.plan.turns"),
+    ("scale_errors", "prediction.scale_errors"),
+    ("actuators", Values(
+        Prediction, ("id", lambda p: p.layout.id[p.layout.enabled]), "alpha", *ERRORS, SYSTEMATIC,
+        path="prediction",
+    )),
+    ("weakest", "prediction.diagnosis.weakest"),
+    ("undetermined", "prediction.diagnosis.undetermined"), "duration", ("mountings", MOUNTINGS),
+    ("orders", Values(OrderCost, *(one.name for one in fields(OrderCost)), "error", path="orders")),
+    "third_load", ("largest_force", "strain.force"), ("actuator", "strain.actuator"),
+    ("load", "strain.load"), ("force_at_worst", "strain.force_at_worst"),
+    ("largest_stroke", "strain.stroke"), ("gap", "strain.gap"), ("curves", CURVES),
+    ("warnings", "warnings.fault"),
+)  # fmt: skip
+RECIPROCITY = Values(
+    WithSensors,
+    ("actuators", Values(
+        WithSensors, ("e_alpha", "planned.error"), ("e_stat", "planned.statistical_error"),
+        ("e_gain", "gain_error"), ("e_offset", "offset_error"),
+    )),
+    ("cycles", Values(Curve, ("cycles", "values"), *CURVE, path="against_cycles")),
+)  # fmt: skip
+WAYS = Values(Change, "what", "reached", "change", "error", "duration")
+
+
 def values(
     outcome: PlanPrediction, target: float | None, changes: Sequence[Change]
 ) -> dict[str, Any]:
     """Return the values for a script; infinite if the scale is free."""
-    ready, prediction, strain = outcome.ready, outcome.prediction, outcome.strain
-    order = mountings(ready.plan, len(ready.shapes))
-    return {
-        "instrument": ready.mirror.name,
-        "shapes": len(ready.shapes),
-        **attributes(ready.plan, "cycles", "loads"),
-        **_typical_values(prediction),
-        **attributes(prediction, "scale_errors"),
-        "actuators": {
-            "id": prediction.layout.id[prediction.layout.enabled],
-            **attributes(prediction, "alpha", e_alpha="error", e_stat="statistical_error"),
-            "e_syst": prediction.systematic_error,
-        },
-        "reciprocity": _reciprocity_values(outcome),
-        **attributes(prediction.diagnosis, "weakest", "undetermined"),
-        "duration": outcome.duration,
-        "turns": ready.plan.turns,
-        "mountings": [
-            attributes(each, load="load.name", cycles=lambda one: (one.cycles[0], one.cycles[-1]))
-            | attributes(each, "start", "end")
-            for each in order
-        ],
-        "orders": [{**vars(cost), "error": cost.error} for cost in outcome.orders],
-        "third_load": outcome.third_load,
-        **attributes(strain, largest_force="force"),
-        **attributes(strain, "actuator", "load", "force_at_worst", largest_stroke="stroke"),
-        "gap": strain.gap,
-        "curves": {
-            name: _curve_values(name, curve) | {"e_syst": curve.systematic_error}
-            for name, curve in (
-                ("cycles", outcome.against_cycles),
-                ("added_factor", outcome.against_weight),
-            )
-        },
-        "warnings": [each.fault for each in outcome.warnings],
-        "target": target,
-        "ways": [{k: v for k, v in vars(change).items() if k != "plan"} for change in changes],
-    }
-
-
-def _typical_values(prediction: Prediction) -> dict[str, float]:
-    """Return the typical errors: all, from the readings, from the weights."""
-    names = "typical_error", "typical_e_stat", "typical_e_syst"
-    return dict(zip(names, prediction.typical_errors, strict=True))
-
-
-def _curve_values(name: str, curve: Curve) -> dict[str, Any]:
-    return {name: curve.values, **attributes(curve, "error", e_stat="statistical_error")}
-
-
-def _reciprocity_values(outcome: PlanPrediction) -> dict[str, Any]:
-    """Return the values of reciprocity, or why it is not possible."""
     found = outcome.reciprocity
-    if found.planned is None:
-        return {"why_not": found.why_not}
+    reciprocity = {"why_not": found.why_not}
+    if found.planned is not None:
+        reciprocity = _typical_values(found.planned) | RECIPROCITY.of(found)
     return {
-        **_typical_values(found.planned),
-        "actuators": {
-            **attributes(found.planned, e_alpha="error", e_stat="statistical_error"),
-            **attributes(found, e_gain="gain_error", e_offset="offset_error"),
-        },
-        "cycles": _curve_values("cycles", found.against_cycles),
-    }
+        **VALUES.of(outcome), **_typical_values(outcome.prediction), "reciprocity": reciprocity,
+        "target": target, "ways": WAYS.of(tuple(changes)),
+    }  # fmt: skip
+
+
+def _typical_values(prediction: Prediction) -> dict[str, Any]:
+    """Return the typical errors: all, from the readings, from the weights."""
+    return dict(zip(TYPICAL, prediction.typical_errors, strict=True))

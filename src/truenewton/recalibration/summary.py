@@ -8,7 +8,7 @@ from typing import Any
 
 from truenewton.calibration.result import AnyCalibration
 from truenewton.calibration.summary import summary_lines, summary_values
-from truenewton.files.format import attributes
+from truenewton.files.values import Values
 from truenewton.recalibration.fit import Recalibration
 from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.rounding import chance_text, percent, table_lines, with_error
@@ -58,23 +58,21 @@ def _others(made: Recalibration) -> str:
     )
 
 
+VALUES = Values(
+    Recalibration, "asked", "moved", "earlier",
+    ("others", Values(Recalibration, "chi2", "degrees_of_freedom", "probability", "scatter")),
+    "limits",
+)  # fmt: skip
+
+
 def values(
     made: Recalibration | Parts[Recalibration], calibration: AnyCalibration
 ) -> dict[str, Any]:
     """Return the same values for a script."""
     figures = summary_values(calibration)
     if not has_parts(made):
-        return figures | _found(made)
+        return {**figures, **VALUES.of(made)}
     for part in figures["segments"]:
         if part["segment"] in made.found:
-            part |= _found(made.found[part["segment"]])
+            part |= VALUES.of(made.found[part["segment"]])
     return figures
-
-
-def _found(made: Recalibration) -> dict[str, Any]:
-    others = attributes(made, "chi2", "degrees_of_freedom", "probability", "scatter")
-    return {
-        **attributes(made, "asked", "moved", "earlier"),
-        "others": others,
-        "limits": made.limits,
-    }

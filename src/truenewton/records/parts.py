@@ -263,6 +263,16 @@ class Parts(InParts[Part], Result):
         """``failed`` as rows: number, fault and remedy."""
         return tuple((number, *one) for number, faults in self.failed.items() for one in faults)
 
+    def values(
+        self, of_one: Callable[[Part], dict[str, Any]], of_none: Callable[[Faults], dict[str, Any]]
+    ) -> list[dict[str, Any]]:
+        """Return values of each segment for a script, from its result or its faults."""
+        return [
+            {"segment": number}
+            | (of_one(self.found[number]) if number in self.found else of_none(self.failed[number]))
+            for number in self.numbers
+        ]
+
     def column(self, attribute: Attribute) -> Array:
         """Return (n,) an attribute of the actuators, as 'alpha' or 'errors.1'."""
         out = np.full(self.layout.n, np.nan)
@@ -286,6 +296,11 @@ class Parts(InParts[Part], Result):
         """Draw a quantity of all parts on the map of the actuators, as one part does."""
         drawn: Axes = type(self._one).plot(self, *layer, **looks)  # type: ignore[attr-defined]
         return drawn
+
+
+def fault_values(faults: Faults) -> dict[str, Any]:
+    """Return why a segment has no result, for a script."""
+    return {"faults": [fault._asdict() for fault in faults]}
 
 
 def refuse_other_mirror(given: Any, mirror: Any, than: str, path: str, remedy: str) -> None:

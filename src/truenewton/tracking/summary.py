@@ -11,8 +11,8 @@ import numpy as np
 
 from truenewton.calibration.summary import as_sentences
 from truenewton.errors import Fault
-from truenewton.files.format import attributes, columns_by_name
-from truenewton.records.parts import Parts, by_number, has_parts
+from truenewton.files.values import Columns, Values
+from truenewton.records.parts import Parts, by_number, fault_values, has_parts
 from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import chance_text, counted, numbered, row, table_lines, with_error
 from truenewton.tracking.law import ACTUATORS, DAYS, Tracking, Validity, validity_of
@@ -163,36 +163,31 @@ def _lines_of_parts(t: Parts[Tracking], accuracy: float | None) -> Iterator[str]
         yield f"  {numbered('segment', sorted(numbers))}: {line}"
 
 
+def _days(t: Tracking) -> list[dict[str, Any]]:
+    columns = Columns(DAYS, "file", "date", "temperature", "verdict").of(t)
+    return [dict(zip(columns, day, strict=True)) for day in zip(*columns.values(), strict=True)]
+
+
+SCATTER = Values(
+    Tracking,
+    ("own", "scatter"), ("common", "common_scatter"), ("degrees_of_freedom", "scatter_degrees"),
+)  # fmt: skip
+VALUES = Values(
+    Tracking, "instrument", "temperature", "date", "effects", ("families", "populations"),
+    ("scatter", SCATTER), "outliers", "chi2", "degrees_of_freedom", "probability", "limits",
+    ("days", _days),
+    ("actuators", Columns(ACTUATORS, "id", "alpha", "e_alpha", "k", "e_k", "drift", "e_drift")),
+)  # fmt: skip
+
+
 def values(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> dict[str, Any]:
     """Return the same values for a script."""
     t = tracking
     if has_parts(t):
-        return {
-            "instrument": t.instrument,
-            "segments": [
-                {"segment": number, **values(t.found[number], accuracy)}
-                if number in t.found
-                else {"segment": number, "faults": [f._asdict() for f in t.failed[number]]}
-                for number in t.numbers
-            ],
-        }
-    names = "file", "date", "temperature", "verdict"
-    days = zip(*columns_by_name(t, DAYS, *names).values(), strict=True)
-    figures = {
-        **attributes(t, "instrument", "temperature", "date", "effects", families="populations"),
-        "scatter": {
-            **attributes(t, own="scatter", common="common_scatter"),
-            "degrees_of_freedom": t.scatter_degrees,
-        },
-        **attributes(t, "outliers", "chi2", "degrees_of_freedom", "probability", "limits"),
-        "days": [dict(zip(names, day, strict=True)) for day in days],
-        "actuators": columns_by_name(
-            t, ACTUATORS, "id", "alpha", "e_alpha", "k", "e_k", "drift", "e_drift"
-        ),
-    }
-    if accuracy is not None:
-        figures["validity"] = validity_of(t, accuracy)
-    return figures
+        segments = t.values(lambda one: values(one, accuracy), fault_values)
+        return {"instrument": t.instrument, "segments": segments}
+    validity = {} if accuracy is None else {"validity": validity_of(t, accuracy)}
+    return {**VALUES.of(t), **validity}
 
 
 def _degrees(temperature: float) -> str:

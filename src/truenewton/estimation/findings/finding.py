@@ -11,7 +11,7 @@ from typing import Any
 from truenewton.errors import Fault
 from truenewton.estimation.findings.catalogue import ENTRIES, Entry
 from truenewton.estimation.findings.code import Code, Concern, Level
-from truenewton.files.format import attributes
+from truenewton.files.values import Values
 from truenewton.rounding import counted, listed, named, numbered, percent
 from truenewton.statics.layout import Layout
 
@@ -180,16 +180,7 @@ class Finding:
     @property
     def as_values(self) -> dict[str, Any]:
         """The finding in JSON."""
-        return {
-            "code": str(self.code),
-            "level": str(self.level),
-            "fault": self.fault,
-            "remedy": self.remedy,
-            "actuators": list(self.actuators),
-            "values": dict(self.values),
-            **attributes(self, "name", "detail", "where", "probability", "size", "unit"),
-            "corrected": self.corrected,
-        }
+        return dict(FINDING.of(self))
 
     @property
     def stored(self) -> str:
@@ -292,7 +283,19 @@ class Verdict:
     @property
     def as_values(self) -> dict[str, Any]:
         """The verdict in JSON."""
-        return {"level": str(self.level), "findings": self.findings}
+        return dict(VERDICT.of(self))
+
+
+def _level(said: Finding | Verdict) -> str:
+    return str(said.level)
+
+
+FINDING = Values(
+    Finding, ("code", lambda finding: str(finding.code), Code), ("level", _level, Level), "fault",
+    "remedy", "actuators", ("values", lambda finding: dict(finding.values), dict), "name", "detail",
+    "where", "probability", "size", "unit", "corrected",
+)  # fmt: skip
+VERDICT = Values(Verdict, ("level", _level, Level), "findings")
 
 
 def judged(findings: Collection[Finding]) -> Verdict:
