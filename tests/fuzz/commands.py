@@ -32,8 +32,11 @@ info 11 --method:text --population:flag --json:flag
     track.fits | track.fits
     m.fits | m.fits
     c.truth.fits | c.truth.fits
-report 5 --method:text --population:flag
+report 5 --method:text --population:flag --mirror:text --calibration:text --diameter:number \
+  --efficiency:number --segment:integer --json:flag
     c -o out.html | CYCLES
+    c -o out.html --calibration ml.fits --diameter 0.4 --efficiency 0.5 | CYCLES ml.fits
+    c -o out.html --mirror mirror.toml | CYCLES GLASS
     stiffness.fits -o out.html | stiffness.fits
     ml.fits -o out.html | ml.fits
     rec.fits -o out.html | rec.fits
