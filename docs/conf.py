@@ -31,7 +31,8 @@ smartquotes = False  # a prime is a transpose
 nitpick_ignore_regex = [
     (
         "py:class",
-        r"numpy\._typing\..*|TypeAliasForwardRef|pd\.DataFrame|AnyCalibration|Data|Seen|Array"
+        r"numpy\._typing\..*|astropy\.table\.table\..*|TypeAliasForwardRef|pd\.DataFrame"
+        r"|AnyCalibration|Data|Seen|Array"
         r"|(collections\.abc\.)?Mapping\[int|tuple\[(float|Cycle)",
     )
 ]
