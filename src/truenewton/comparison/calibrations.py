@@ -173,17 +173,16 @@ def compare_calibrations(one: AnyCalibration, other: AnyCalibration) -> Change:
     RankDeficient
         No segment has alpha in both.
     """
-    if has_parts(one) and has_parts(other):
-        return _change_of_segments(one, other)
-    if has_parts(one) or has_parts(other):
+    if has_parts(one) != has_parts(other):
         raise CampaignMismatch(
             "one calibration is of several segments, the other of one body",
             remedy="choose the segment: --segment, or segment(...) in Python",
         )
     a, b = one.layout, other.layout
     # Which are enabled may differ, and what was taken for their direction.
-    apart = f"{a.n} and {b.n} actuators" if a.n != b.n else ""
-    apart = apart or replace(b, enabled=a.enabled, nz=a.nz).difference(a)
+    apart = b.other_actuators(a if a.n != b.n else replace(a, nz=b.nz))
+    if not apart and a.segments != b.segments:
+        apart = "their segments differ"
     both = np.zeros(0, dtype=bool) if apart else a.enabled & b.enabled
     if not both.any():
         raise CampaignMismatch(
@@ -191,53 +190,29 @@ def compare_calibrations(one: AnyCalibration, other: AnyCalibration) -> Change:
             f" actuators: {apart or 'none is enabled in both'}",
             remedy="compare two calibrations of one mirror",
         )
-    ratio = float(np.median(other.alpha[both] / one.alpha[both]))
-    moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
-    error = np.hypot(one.statistical_error, other.statistical_error / ratio)
-    scales = [
-        typical(c.systematic_error, c.alpha) for c in (one, other) if c.scale != Scale.MEAN_ONE
-    ]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigmas = moved / error
-    return Change(
-        one=one,
-        other=other,
-        ratio=ratio,
-        ratio_error=ratio * math.hypot(*scales) if len(scales) == 2 else float("nan"),
-        relative=moved / one.alpha,
-        sigmas=np.where(np.isfinite(sigmas), sigmas, np.nan),
-        limit=float(normal_isf(FALSE_ALARM / 2 / both.sum())),
-    )
-
-
-def _change_of_segments(one: Parts[Calibration], other: Parts[Calibration]) -> Change:
-    """Compare each segment that has alpha in both, at the limit of all actuators together."""
-    a, b = one.layout, other.layout
-    apart = b.other_actuators(a)
-    if apart or one.numbers != other.numbers:
-        raise CampaignMismatch(
-            f"the calibrations of {one.instrument} and {other.instrument} are not of the same"
-            f" segments{f': {apart}' if apart else ''}",
-            remedy="compare two calibrations of one mirror",
-        )
-    parts = {
-        number: compare_calibrations(one.found[number], other.found[number])
-        for number in one.numbers
-        if number in one.found and number in other.found
-    }
-    if not parts:
-        raise RankDeficient("no segment has alpha in both", remedy="look at each file with `info`")
-    lacking = {number: () for number in one.numbers if number not in parts}
-    whole = Parts(one.instrument, a, parts, failed=lacking)
-    relative, sigmas = whole.column("relative"), whole.column("sigmas")
-    limit = float(normal_isf(FALSE_ALARM / 2 / np.isfinite(sigmas).sum()))
-    return Change(
-        one=one,
-        other=other,
-        ratio=math.nan,
-        ratio_error=math.nan,
-        relative=relative,
-        sigmas=sigmas,
-        limit=limit,
-        segments={number: replace(part, limit=limit) for number, part in parts.items()},
-    )
+    parts, ratio, ratio_error = dict[int, Change](), math.nan, math.nan
+    if has_parts(one) and has_parts(other):
+        for number in one.found.keys() & other.found.keys():
+            parts[number] = compare_calibrations(one.found[number], other.found[number])
+        if not parts:
+            remedy = "look at each file with `info`"
+            raise RankDeficient("no segment has alpha in both", remedy=remedy)
+        lacking = {number: () for number in one.numbers if number not in parts}
+        whole = Parts(one.instrument, a, parts, failed=lacking)
+        relative, sigmas = whole.column("relative"), whole.column("sigmas")
+    else:
+        assert isinstance(one, Calibration)
+        assert isinstance(other, Calibration)
+        ratio = float(np.median(other.alpha[both] / one.alpha[both]))
+        moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
+        error = np.hypot(one.statistical_error, other.statistical_error / ratio)
+        if Scale.MEAN_ONE not in (one.scale, other.scale):
+            scales = (typical(c.systematic_error, c.alpha) for c in (one, other))
+            ratio_error = ratio * math.hypot(*scales)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative, sigmas = moved / one.alpha, moved / error
+        sigmas[~np.isfinite(sigmas)] = np.nan
+    # Segments are judged at the limit of all actuators together.
+    limit = float(normal_isf(FALSE_ALARM / 2 / np.isfinite(relative).sum()))
+    segments = {number: replace(parts[number], limit=limit) for number in sorted(parts)}
+    return Change(one, other, ratio, ratio_error, relative, sigmas, limit, segments)

@@ -18,7 +18,7 @@ from truenewton.comparison.calibrations import Change, compare_calibrations
 from truenewton.comparison.fit import Noise, PairFit, fit_pair, rough_factors
 from truenewton.comparison.pairing import Pair, Side, pair_matrices, rough_residual
 from truenewton.comparison.result import Comparison
-from truenewton.errors import CampaignMismatch
+from truenewton.errors import CampaignMismatch, TrueNewtonError
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import balance_effects, orientation_effects
@@ -126,24 +126,26 @@ def _compare_segments(data: Sequence[SegmentedData]) -> Parts[Comparison]:
 
 def _sides(data: Sequence[Body]) -> list[Side]:
     """Return the stiffness of each, measured or by regression."""
-    measured = [
-        measured_stiffness(each) if isinstance(each, Campaign) and each.stiffness is None else None
-        for each in data
-    ]
-    residuals = np.array([each.residual for each in measured if each])
-    known = bool(np.isfinite(residuals).all())  # otherwise their noise is taken as equal
-    sides = []
-    for given, found in zip(data, measured, strict=True):
-        matrix = (
-            found.matrix if found else given.stiffness if isinstance(given, Campaign) else given
-        )
+    sides, residuals = [], []
+    for name, given in zip(("old", "new", "repeat"), data, strict=False):
+        matrix = given.stiffness if isinstance(given, Campaign) else given
+        covariance, residual = np.zeros((given.layout.n, given.layout.n)), 1.0
+        if isinstance(given, Campaign) and matrix is None:
+            try:
+                found = measured_stiffness(given)
+            except TrueNewtonError as error:
+                raise error.changed(fault=f"the {name} data: {error.fault}") from None
+            matrix, covariance, residual = found.matrix, found.inverse, found.residual
         assert matrix is not None
         refuse_segments(matrix)
-        scale = found.residual**2 if found and known else 1.0
-        sides.append(
-            Side(matrix, scale * found.inverse if found else np.zeros_like(matrix.stiffness))
-        )
-    return sides
+        sides.append(Side(matrix, covariance))
+        residuals.append(residual)
+    if not np.isfinite(residuals).all():  # the noise of all is taken as equal
+        return sides
+    return [
+        Side(side.matrix, residual**2 * side.covariance)
+        for side, residual in zip(sides, residuals, strict=True)
+    ]
 
 
 def _compare_bodies(data: Sequence[Body], alarm: float = FALSE_ALARM) -> Comparison:
@@ -208,7 +210,7 @@ def _comparison(
             for (i, j), size in zip(fit.couplings, fit.coupling_sizes, strict=True)
         ),
         noise_law=fit.noise.name,
-        relative_noise=float(np.sqrt((fit.residual**2).mean())) / fit.size,
+        relative_noise=float(np.sqrt((fit.residual**2).mean() / (pair.old**2).mean())),
         pattern=float(np.linalg.norm(whitened, 2)) / (2.0 * math.sqrt(n)),
         tails=float((square**2).mean() / square.mean() ** 2) - 3.0,
         resemblance=_resemblance(fit, unchanged),

@@ -323,8 +323,6 @@ class PairFit:
         (k,) by how much, relative to K_1 [N/m].
     cost
         -2 log likelihood, restricted to what the factors leave.
-    size
-        rms element [N/m].
     converged
         Whether the last step was below the tolerance.
     """
@@ -339,7 +337,6 @@ class PairFit:
     couplings: Couplings
     coupling_sizes: Array
     cost: float
-    size: float
     converged: bool
 
     def deviating(self, limit: float) -> Couplings:
@@ -450,7 +447,6 @@ def _iterated(
         couplings=couplings,
         cost=noise.cost(u) + logarithm,
         coupling_sizes=(residual - u)[tuple(couplings.T)],
-        size=float(np.sqrt((one**2).mean())),
         converged=converged,
     )
 

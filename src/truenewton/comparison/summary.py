@@ -37,18 +37,13 @@ def lines(c: Comparison | Parts[Comparison] | Change) -> Iterator[str]:
             else:
                 yield from lines(c.found[number])
         return
-    yield headline(c)
+    yield f"{c.instrument}: {counted(int(c.layout.enabled.sum()), 'actuator')} compared"
     yield from (row(*each) for each in figures(c))
     if changed := [*changed_actuators(c)]:
         yield f"  {'actuator':<12}{'alpha, new / old':<30}sensor gain, new / old"
         yield from (f"  {name:<12}{alpha:<30}{gain}" for name, alpha, gain in changed[:MAX_ROWS])
     yield from verdict_lines(c.verdict)
     yield from (f"  undetectable here: {text}" for text in UNDETECTABLE)
-
-
-def headline(c: Comparison) -> str:
-    """Return what was compared."""
-    return f"{c.instrument}: {counted(int(c.layout.enabled.sum()), 'actuator')} compared"
 
 
 def figures(c: Comparison) -> Iterator[tuple[str, str, str]]:
