@@ -39,10 +39,10 @@ def run_info(
         motion = options.motion_of(mirror, data)
         values, lines = survey(data, method, population=population, motion=motion)
         details = detail_lines(data) if holds_alpha(data) else ()
-    as_values = values if json else None
     print_result(
-        lines, details=details, values=as_values, schema="info", quiet=quiet, verbose=verbose
-    )
+        lines, details=details, values=values, schema="info",
+        json=json, quiet=quiet, verbose=verbose,
+    )  # fmt: skip
 
 
 def run_calibrate(
@@ -87,34 +87,21 @@ def run_calibrate(
             with busy("calibrating", keeping=True) as waiting:
                 motion = options.motion_of(mirror, data)
                 work = partial(
-                    calibrate,
-                    data,
-                    method,
-                    population=population,
-                    motion=motion,
-                    exclude=out,
-                    client=client,
-                    processes=processes,
-                )
+                    calibrate, data, method, population=population, motion=motion, exclude=out,
+                    client=client, processes=processes,
+                )  # fmt: skip
                 found: AnyCalibration = waiting.end_of(work)
             found = usable(found, accept_rejected=anyway)
-    lines, values = [*summary_lines(found)], summary_values(found) if json else None
-    then = ""
+    lines, then = [*summary_lines(found)], ""
     if output is not None:
         found.write(output, overwrite=overwrite)
         lines += filter(None, [lacking(found, output)])
         of_data = [*map(str, paths), "--calibration"] if not has_parts(found) else []
         then = shlex.join(["truenewton", "report", *of_data, str(output), "-o", "report.html"])
     print_result(
-        lines,
-        output,
-        details=detail_lines(found, data),
-        values=values,
-        schema=schema_of("calibrate", found),
-        quiet=quiet,
-        verbose=verbose,
-        then=then,
-    )
+        lines, output, details=detail_lines(found, data), values=summary_values(found),
+        schema=schema_of("calibrate", found), json=json, quiet=quiet, verbose=verbose, then=then,
+    )  # fmt: skip
 
 
 def run_recalibrate(
@@ -156,18 +143,13 @@ def run_recalibrate(
         of_one = attrgetter("calibration")
         found = made.map(of_one) if has_parts(made) else of_one(made)
         calibration = usable(found, accept_rejected=anyway)
-    shown, as_values = lines(made, calibration), values(made, calibration) if json else None
     if output is not None:
         calibration.write(output, overwrite=overwrite)
     print_result(
-        shown,
-        output,
-        details=detail_lines(calibration),
-        values=as_values,
-        schema=schema_of("recalibrate", made),
-        quiet=quiet,
-        verbose=verbose,
-    )
+        lines(made, calibration), output, details=detail_lines(calibration),
+        values=values(made, calibration), schema=schema_of("recalibrate", made),
+        json=json, quiet=quiet, verbose=verbose,
+    )  # fmt: skip
 
 
 def run_compare(
@@ -209,8 +191,10 @@ def run_compare(
         if figure is not None:
             write_figure(compared.plot(), figure, overwrite=overwrite)
     written = (output, figure) if figure else (output,)
-    as_values, schema = values(compared) if json else None, schema_of("compare", compared)
-    print_result(lines(compared), *written, values=as_values, schema=schema, quiet=quiet)
+    print_result(
+        lines(compared), *written, values=values(compared), schema=schema_of("compare", compared),
+        json=json, quiet=quiet,
+    )  # fmt: skip
 
 
 def run_track(
@@ -240,7 +224,7 @@ def run_track(
     refuse_existing(output, figures, overwrite=overwrite)
     with busy("tracking"):
         law = track(*paths, accept_rejected=anyway, segment=segment)
-        shown, as_values = lines(law, accuracy), values(law, accuracy) if json else None
+        shown, numbers = lines(law, accuracy), values(law, accuracy)
     drawn: list[Path] = []
     with atomic_outputs():
         if output is not None:
@@ -248,12 +232,6 @@ def run_track(
         if figures is not None:
             drawn = write_drawn(tracking_figures(law), figures, overwrite=overwrite)
     print_result(
-        shown,
-        output,
-        *drawn,
-        details=table_of(law),
-        values=as_values,
-        schema=schema_of("track", law),
-        quiet=quiet,
-        verbose=verbose,
-    )
+        shown, output, *drawn, details=table_of(law), values=numbers,
+        schema=schema_of("track", law), json=json, quiet=quiet, verbose=verbose,
+    )  # fmt: skip

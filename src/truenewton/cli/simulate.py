@@ -202,8 +202,8 @@ def run_prove(
         proofs = [proof for each in tried for proof in prove(known, each)]
     title = f"{known.name}: C alpha = p and E alpha' = r, solved by SVD"
     lines = [*table_lines(title, *proof_rows(proofs)), proof_verdict(proofs)]
-    values = proof_values(known.name, proofs) if json else None
-    print_result(lines, values=values, schema="prove", quiet=quiet)
+    values = proof_values(known.name, proofs)
+    print_result(lines, values=values, schema="prove", json=json, quiet=quiet)
     if not all(one.passed for one in proofs):
         raise typer.Exit(1)
 
@@ -231,10 +231,9 @@ def run_mirrors(
         if plot or output:
             raise typer.BadParameter("name a mirror to draw")
         lines, values = _list_of_mirrors()
-        print_result(lines, values=values if json else None, schema="mirrors", quiet=quiet)
+        print_result(lines, values=values, schema="mirrors", json=json, quiet=quiet)
         return
     known = whole_mirror_from(mirror)
-    numbers = _numbers(known)
     if isinstance(known, SegmentedMirror):
         lines = [f"  {known.name}: {known.layout.n} actuators"]
         lines += [line for kind in known.kinds for line in _lines_of_part(known, *kind)]
@@ -251,7 +250,8 @@ def run_mirrors(
         glass = known if isinstance(known, SegmentedMirror) else known.shell
         figure = plot_layout(known.layout, edges=glass.seen_edges())
         write_figure(figure, drawn[0], overwrite=overwrite)
-    print_result(lines, *drawn, values=numbers if json else None, schema="mirror", quiet=quiet)
+    numbers = _numbers(known)
+    print_result(lines, *drawn, values=numbers, schema="mirror", json=json, quiet=quiet)
 
 
 def _list_of_mirrors() -> tuple[list[str], dict[str, object]]:

@@ -70,8 +70,8 @@ def run_plan(
         write_figure(plot_plan(outcome, target), plot, overwrite=overwrite)
     shown = (*lines(outcome), *change_lines(target, changes))
     drawn = () if plot is None else (plot,)
-    as_values = values(outcome, target, changes) if json else None
-    print_result(shown, *drawn, values=as_values, schema="plan", quiet=quiet)
+    numbers = values(outcome, target, changes)
+    print_result(shown, *drawn, values=numbers, schema="plan", json=json, quiet=quiet)
 
 
 def _new_plan(output: Path | None, overwrite: bool) -> None:
@@ -150,9 +150,11 @@ def run_acquire(
     }
     loads, cycles = counted(wanted.loads, "load"), counted(wanted.cycles, "cycle")
     line = f"{output}: complete{' already' if complete else ''}, {loads} x {cycles}{not_valid}"
-    written, as_values = (output,) if quiet else (), values if json else None
+    written = (output,) if quiet else ()
     then = shlex.join(["truenewton", "calibrate", str(output), "-o", "alpha.fits"])
-    print_result([line], *written, values=as_values, schema="acquire", quiet=quiet, then=then)
+    print_result(
+        [line], *written, values=values, schema="acquire", json=json, quiet=quiet, then=then
+    )
 
 
 class Terminal:
@@ -324,8 +326,7 @@ def _print_matrix(
         "found": {line[:15].strip(): line[15:] for line in made.lines[1:]},
         "calibration": None if calibration is None else summary_values(calibration),
     }
-    as_values = values if json else None
-    print_result(lines, output, values=as_values, schema="import", quiet=quiet, then=then)
+    print_result(lines, output, values=values, schema="import", json=json, quiet=quiet, then=then)
 
 
 def _import_campaign(
@@ -344,9 +345,8 @@ def _import_campaign(
             write_campaign(campaign, output, overwrite=overwrite)
     values = {"instrument": campaign.instrument, "actuators": campaign.layout.n}
     values |= {"found": {"cycles": lines[1:]}, "calibration": None}
-    as_values = values if json else None
     then = "" if output is None else _calibrating(output)
-    print_result(lines, output, values=as_values, schema="import", quiet=quiet, then=then)
+    print_result(lines, output, values=values, schema="import", json=json, quiet=quiet, then=then)
 
 
 def _calibrating(output: Path) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from json import dumps
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -60,6 +60,7 @@ def print_result(
     details: Iterable[str] = (),
     values: Mapping[str, Any] | None = None,
     schema: str = "",
+    json: bool = False,
     quiet: bool = False,
     verbose: bool = False,
     then: str = "",
@@ -70,10 +71,10 @@ def print_result(
     the files only. The JSON begins with the name of its schema and the version, which changes if a
     key changes or is removed (`json_schema`). Numbers that are not finite become null.
     """
-    if values is not None:
+    if json and values is not None:
         from truenewton.arrays import jsonable  # imports NumPy, which --help does not need
 
-        print(json.dumps(jsonable({"schema": f"truenewton.{schema}/2", **values}), indent=2))
+        print(dumps(jsonable({"schema": f"truenewton.{schema}/2", **values}), indent=2))
         return
     if not quiet:
         tell(lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,6 @@ from truenewton.cli.terminal import about, busy, print_result, schema_of
 from truenewton.files.outputs import atomic_outputs, refuse_existing
 
 if TYPE_CHECKING:
-    from truenewton.modal.turbulence import Atmosphere
     from truenewton.report.verdict import Reported
 
 
@@ -68,20 +68,12 @@ def run_report(
                 data, method, calibration=made, population=population, motion=motion,
                 diameter=diameter, efficiency=efficiency,
             )  # fmt: skip
-    words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
-    words += ["--method", method] if method else []
-    words += ["--calibration", str(calibration)] if calibration else []
-    words += ["--population"] if population else []
-    words += [] if segment is None else ["--segment", str(segment)]
-    words += ["--mirror", mirror] if mirror else []
-    words += ["--diameter", f"{diameter:g}"] if diameter else []
-    words += ["--efficiency", f"{efficiency:g}"] if efficiency else []
-    command = shlex.join(words)
+    command = shlex.join(["truenewton", *sys.argv[1:]])
     with busy("writing the report"):
         write_report(output, findings, command=command, edges=edges, overwrite=overwrite)
     lines = list(headline_of(findings).lines())
     values = {"verdict": lines[0], "lines": lines[1:], "written": str(output)}
-    print_result(lines, output, values=values if json else None, schema="report", quiet=quiet)
+    print_result(lines, output, values=values, schema="report", json=json, quiet=quiet)
 
 
 def run_figures(
@@ -105,10 +97,9 @@ def run_figures(
         findings = investigate(data)
         made, more = require_calibration(findings), still_figures(findings)
         written = write_figures(made, output, more=more, numbers=numbers, overwrite=overwrite)
-    verdict = str(made.verdict)
-    values = {"verdict": verdict, "written": [str(path) for path in written]}
-    as_values = values if json else None
-    print_result([f"verdict: {verdict}"], *written, values=as_values, schema="figures", quiet=quiet)
+    values = {"verdict": str(made.verdict), "written": [str(path) for path in written]}
+    lines = [f"verdict: {made.verdict}"]
+    print_result(lines, *written, values=values, schema="figures", json=json, quiet=quiet)
 
 
 def run_modes(
@@ -153,6 +144,7 @@ def run_modes(
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modal_base import Budget
     from truenewton.modal.summary import lines, values
+    from truenewton.modal.turbulence import Atmosphere
     from truenewton.reading import read_alpha, read_data
     from truenewton.records.file import SUFFIXES
 
@@ -160,7 +152,9 @@ def run_modes(
     limits = Budget(power, total_power, force)
     if efficiency is None and min(power, total_power) < math.inf:
         raise typer.BadParameter("--power and --total-power need --efficiency, that of the coils")
-    atmosphere = _atmosphere(seeing, outer_scale, wanted=diameter is not None)
+    given = {"seeing": seeing, "outer_scale": outer_scale}
+    known = {name: value for name, value in given.items() if value is not None}
+    atmosphere = Atmosphere(**known) if known or diameter is not None else None
     if diameter is None and (atmosphere or limits != Budget()):
         raise typer.BadParameter("turbulence and limits need --diameter, that of the pupil")
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
@@ -180,7 +174,7 @@ def run_modes(
             data, alpha, atmosphere, diameter=diameter, radius=radius, accept_rejected=anyway,
             efficiency=efficiency, motion=motion, off=floating, slaved=follows,
         )  # fmt: skip
-        shown, as_values = lines(found, limits), values(found, limits) if json else None
+        shown, numbers = lines(found, limits), values(found, limits)
         with atomic_outputs():
             if output is not None:
                 within = limits if diameter else None
@@ -190,18 +184,7 @@ def run_modes(
                 written += write_drawn(drawn, figures, overwrite=overwrite)
     nothing = () if output or figures else (None,)
     schema = schema_of("modes", found)
-    print_result(shown, *written, *nothing, values=as_values, schema=schema, quiet=quiet)
-
-
-def _atmosphere(
-    seeing: float | None, outer_scale: float | None, *, wanted: bool
-) -> Atmosphere | None:
-    """Return the turbulence; None if it is neither wanted nor described."""
-    from truenewton.modal.turbulence import Atmosphere
-
-    given = {"seeing": seeing, "outer_scale": outer_scale}
-    known = {name: value for name, value in given.items() if value is not None}
-    return Atmosphere(**known) if wanted or known else None
+    print_result(shown, *written, *nothing, values=numbers, schema=schema, json=json, quiet=quiet)
 
 
 def run_export(
