@@ -206,9 +206,7 @@ def _survey_stiffness(
         "median": median,
         "stiffest": stiffest,
         "used_modes": used,
-        "asymmetry": facts.asymmetry,
-        "rigid_cost": facts.rigid_cost,
-        "imbalance": facts.imbalance,
+        **attributes(facts, "asymmetry", "rigid_cost", "imbalance"),
     }
     lines = [
         "",

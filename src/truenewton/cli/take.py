@@ -44,6 +44,8 @@ def run_plan(
     quiet: bool = options.QUIET,
 ) -> None:
     """Predict errors, time, forces and gap of a campaign, and how to reach a target error."""
+    from truenewton.acquisition.plan import template
+
     if new == (path is not None):
         raise typer.BadParameter("give a plan, or --new to print a template")
     if target is not None and not 0 < target < 1:
@@ -51,7 +53,12 @@ def run_plan(
     if path is None:
         if target is not None or plot or json:
             raise typer.BadParameter("--new cannot be combined with --target, --plot or --json")
-        _new_plan(output, overwrite)
+        if output is None:
+            say(*template().splitlines())
+            return
+        with file_beside(output, overwrite=overwrite) as temporary:
+            temporary.write_text(template(), encoding="utf-8")
+        say(f"written: {output}")
         return
     if output is not None:
         raise typer.BadParameter("-o requires --new; for a figure, use --plot FILE")
@@ -72,17 +79,6 @@ def run_plan(
     drawn = () if plot is None else (plot,)
     numbers = values(outcome, target, changes)
     print_result(shown, *drawn, values=numbers, schema="plan", json=json, quiet=quiet)
-
-
-def _new_plan(output: Path | None, overwrite: bool) -> None:
-    from truenewton.acquisition.plan import template
-
-    if output is None:
-        say(*template().splitlines())
-        return
-    with file_beside(output, overwrite=overwrite) as temporary:
-        temporary.write_text(template(), encoding="utf-8")
-    say(f"written: {output}")
 
 
 def run_acquire(

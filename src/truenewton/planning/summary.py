@@ -150,15 +150,12 @@ def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
         )
 
 
-def _turns(turns: int) -> str:
-    return ("one after the other", "there and back", "there, back, there")[turns - 1]
-
-
 def _order_cost(cost: OrderCost, planned: int) -> tuple[str, ...]:
     """Return an order of the loads, the errors of the scale by it, and its time."""
     errors = abs(cost.gain), abs(cost.zero), cost.remounting, cost.error
     taken = "planned" if cost.turns == planned else ""
-    return _turns(cost.turns), *map(percent, errors), _time(cost.duration), taken
+    order = ("one after the other", "there and back", "there, back, there")[cost.turns - 1]
+    return order, *map(percent, errors), _time(cost.duration), taken
 
 
 def _remounting_pays(outcome: PlanPrediction) -> str:

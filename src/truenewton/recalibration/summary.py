@@ -16,21 +16,15 @@ from truenewton.rounding import chance_text, percent, table_lines, with_error
 
 def lines(made: Recalibration | Parts[Recalibration], calibration: AnyCalibration) -> Iterator[str]:
     """Yield the lines of the terminal: the calibration, and the actuators that changed."""
-    yield from summary_lines(calibration, _changes_of_all(made))
+    found = by_number(made).items()
+    changes = (line for number, one in found for line in _changes(one, number))
+    yield from summary_lines(calibration, changes)
 
 
-def _changes_of_all(made: Recalibration | Parts[Recalibration]) -> Iterator[str]:
-    for number, one in by_number(made).items():
-        if number:
-            yield f"segment {number}"
-        yield from _changes(one)
-        yield f"  {_others(one)}"
-        if one.scatter and not number:
-            yield f"  each has changed by {percent(one.scatter)} since; errors include this"
-
-
-def _changes(made: Recalibration) -> Iterator[str]:
-    """Yield a table of the actuators that were estimated from the run."""
+def _changes(made: Recalibration, segment: int) -> Iterator[str]:
+    """Yield a table of the actuators that were estimated from the run, and what the others show."""
+    if segment:
+        yield f"segment {segment}"
     c = made.calibration
     changed = dict.fromkeys(made.asked, "replaced")
     for one in made.moved:
@@ -47,15 +41,14 @@ def _changes(made: Recalibration) -> Iterator[str]:
             was, change = "-", "no earlier value"
         rows.append((str(name), was, with_error(now, error), change, words))
     yield from table_lines("  changed:", *rows) if changed else ["  no actuator changed"]
-
-
-def _others(made: Recalibration) -> str:
-    return (
-        "other actuators relative to their earlier calibration: chi2/DOF ="
+    yield (
+        "  other actuators relative to their earlier calibration: chi2/DOF ="
         f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"
         f" probability {made.probability:.2g}; "
         + ("they agree" if made.moved else "none has moved (false alarms on 1 % of mirrors)")
     )
+    if made.scatter and not segment:
+        yield f"  each has changed by {percent(made.scatter)} since; errors include this"
 
 
 VALUES = Values(
