@@ -174,17 +174,17 @@ def run_modes(
             data, alpha, atmosphere, diameter=diameter, radius=radius, accept_rejected=anyway,
             efficiency=efficiency, motion=motion, off=floating, slaved=follows,
         )  # fmt: skip
-        shown, numbers = lines(found, limits), values(found, limits)
         with atomic_outputs():
             if output is not None:
                 within = limits if diameter else None
                 written += write_modes(found, output, within, overwrite=overwrite)
             if figures is not None:
-                drawn = modes_figures(found, limits)
-                written += write_drawn(drawn, figures, overwrite=overwrite)
+                written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
     nothing = () if output or figures else (None,)
-    schema = schema_of("modes", found)
-    print_result(shown, *written, *nothing, values=numbers, schema=schema, json=json, quiet=quiet)
+    print_result(
+        lines(found, limits), *written, *nothing, values=values(found, limits),
+        schema=schema_of("modes", found), json=json, quiet=quiet,
+    )  # fmt: skip
 
 
 def run_export(
