@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 DIAMETER = typer.Option(
     None, help="Diameter of the telescope pupil [m]; without it, no turbulence is modelled."
 )
+RADIUS = typer.Option(
+    None,
+    help="Radius of the mirror area that fills the pupil [m]; by default half an actuator"
+    " spacing beyond the last actuator.",
+)
 EFFICIENCY = typer.Option(
     None, help="Commanded force per root of power [N/W^1/2]; without it, no power is printed."
 )
@@ -114,11 +119,7 @@ def run_modes(
         None, help="Outer scale [m]; by default 40. inf: Kolmogorov."
     ),
     diameter: float | None = DIAMETER,
-    radius: float | None = typer.Option(
-        None,
-        help="Radius of the mirror area that fills the pupil [m]; by default half an actuator"
-        " spacing beyond the last actuator.",
-    ),
+    radius: float | None = RADIUS,
     power: float = typer.Option(math.inf, help="Largest power dissipated by one coil [W]."),
     total_power: float = typer.Option(math.inf, help="Largest power dissipated by all coils [W]."),
     force: float = typer.Option(
