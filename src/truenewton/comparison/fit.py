@@ -469,10 +469,5 @@ def _pseudo_inverse(information: Array) -> tuple[Array, float]:
     # The means of a and b are made equal.
     gauge = np.repeat([1.0, -1.0], n) / np.sqrt(2 * n)
     shift = covariance @ gauge
-    centred = (
-        covariance
-        - np.outer(gauge, shift)
-        - np.outer(shift, gauge)
-        + (gauge @ shift) * np.outer(gauge, gauge)
-    )
-    return centred, logarithm
+    moved = np.outer(gauge, shift)
+    return covariance - moved - moved.T + (gauge @ shift) * np.outer(gauge, gauge), logarithm

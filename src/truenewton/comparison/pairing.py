@@ -9,8 +9,9 @@ recognised by their direction, which alpha does not change, and columns in the s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -130,11 +131,11 @@ def pair_matrices(old: Side, new: Side) -> Pair:
         actuators.
     """
     of_old, of_new = _common(old.matrix, new.matrix)
-    selected = _paired(old, new, of_old, of_new, _selected)
+    selected = _paired(old, new, of_old, of_new, condense=False)
     if len(selected.at) == old.matrix.layout.n == new.matrix.layout.n:
         return selected
     # A missing actuator exerted no force, or only its row and column were left out of the file.
-    condensed_pair = _paired(old, new, of_old, of_new, _condensed)
+    condensed_pair = _paired(old, new, of_old, of_new, condense=True)
     return min(condensed_pair, selected, key=lambda pair: rough_residual(pair.old, pair.new))
 
 
@@ -143,9 +144,11 @@ def _paired(
     new: Side,
     of_old: NDArray[np.int64],
     of_new: NDArray[np.int64],
-    take: Callable[[Array, Array, NDArray[np.int64]], tuple[Array, Array, Array]],
+    *,
+    condense: bool,
 ) -> Pair:
-    """Return both matrices for common actuators; ``take`` removes the others."""
+    """Return both matrices for common actuators; the others are condensed or left out."""
+    take = partial(_taken, condense=condense)
     k_old, inflation_old, covariance_old = take(old.matrix.stiffness, old.covariance, of_old)
     k_new, inflation_new, covariance_new = take(new.matrix.stiffness, new.covariance, of_new)
     rows, lost_rows = _order(k_old, k_new, "rows")
@@ -172,8 +175,8 @@ def _paired(
             only_new=_missing(new.matrix, of_new),
             exchanged_rows=_exchanged(ids, rows, lost_rows),
             exchanged_columns=_exchanged(ids, columns, lost_columns),
-            lost_rows=tuple(int(i) for i in ids[lost_rows]),
-            lost_columns=tuple(int(i) for i in ids[lost_columns]),
+            lost_rows=tuple(ids[lost_rows].tolist()),
+            lost_columns=tuple(ids[lost_columns].tolist()),
         ),
     )
 
@@ -205,26 +208,23 @@ def _missing(matrix: StiffnessMatrix, common: NDArray[np.int64]) -> tuple[int, .
     """Return the IDs of enabled actuators that are not common."""
     on = matrix.layout.enabled.copy()
     on[common] = False
-    return tuple(int(i) for i in matrix.layout.id[on])
+    return tuple(matrix.layout.id[on].tolist())
 
 
-def _condensed(
-    k: Array, covariance: Array, common: NDArray[np.int64]
+def _taken(
+    k: Array, covariance: Array, common: NDArray[np.int64], *, condense: bool
 ) -> tuple[Array, Array, Array]:
     """Return stiffness of some actuators in their order, inflation of variances, covariance."""
+    at = np.ix_(common, common)
+    if not condense:
+        return k[at], np.ones((len(common), len(common))), covariance[at]
     good = np.zeros(len(k), dtype=np.bool_)
     good[common] = True
     core, left, right = condensed(k, good)
     order = np.argsort(np.argsort(common))
+    at = np.ix_(order, order)
     inflation = np.outer((left**2).sum(axis=1), (right**2).sum(axis=0))
-    every = core, inflation, right.T @ covariance @ right
-    return tuple(each[np.ix_(order, order)] for each in every)  # type: ignore[return-value]
-
-
-def _selected(k: Array, covariance: Array, common: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Return rows and columns of some actuators, inflation of variances (1), covariance."""
-    at = np.ix_(common, common)
-    return k[at], np.ones((len(common), len(common))), covariance[at]
+    return core[at], inflation[at], (right.T @ covariance @ right)[at]
 
 
 def _order(old: Array, new: Array, what: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
