@@ -598,6 +598,9 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     assert own > "20261122_101500"
     with pytest.raises(OutputExists, match="track number of the measured"):
         export(calibration, tmp_path / TRACK)
+    again = tmp_path / "again"
+    with pytest.raises(FormatError, match="multiplied by alpha already"):
+        tn.export_supervisor(tmp_path / "new", calibration, again, accept_rejected=True)
     other = replace(calibration.layout, id=calibration.layout.id + 1000)
     wrong = replace(calibration, layout=other)
     with pytest.raises(CampaignMismatch, match=r"no actuator .*, which is a channel"):

@@ -74,6 +74,7 @@ def run_calibrate(
     from truenewton.calibration.verdict import usable
     from truenewton.cluster import connected
     from truenewton.reading import read_data
+    from truenewton.records.file import SUFFIXES
     from truenewton.records.parts import has_parts
 
     if output is not None:
@@ -97,7 +98,8 @@ def run_calibrate(
         found.write(output, overwrite=overwrite)
         lines += filter(None, [lacking(found, output)])
         of_data = [*map(str, paths), "--calibration"] if not has_parts(found) else []
-        then = shlex.join(["truenewton", "report", *of_data, str(output), "-o", "report.html"])
+        if output.name.lower().endswith(SUFFIXES):  # other formats have no report
+            then = shlex.join(["truenewton", "report", *of_data, str(output), "-o", "report.html"])
     print_result(
         lines, output, details=detail_lines(found, data), values=summary_values(found),
         schema=schema_of("calibrate", found), json=json, quiet=quiet, verbose=verbose, then=then,

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import refusal_of
-from truenewton.errors import CampaignMismatch, OutputExists, UnreadableFile
+from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnreadableFile
 from truenewton.estimation.findings.code import Level
+from truenewton.estimation.findings.estimate import Scale
 from truenewton.files.fits import write_fits
 from truenewton.files.format import FileFormat, Keyword
 from truenewton.files.outputs import folder_beside
@@ -30,7 +31,8 @@ README = "README.txt"
 HOW_TO_USE = """
 Direction: alpha = true Newton / commanded Newton. Row i of ff_matrix was MULTIPLIED by alpha of the
 channel in row i of ff_list, and the singular values and vectors were computed again. The measured
-matrix is in commanded Newtons, this one in true Newtons. It is correct only if the electronics
+matrix is in commanded Newtons, this one in true Newtons (times one unknown factor if the scale is
+'mean 1'). It is correct only if the electronics
 DIVIDE a requested force by alpha, or multiply it by 1 / alpha.
 
 To go back: load the measured matrix ({}) together with the previous alpha (1 for every
@@ -95,7 +97,14 @@ def export_supervisor(
     folder = Path(folder)
     channels, matrix = _measured(folder)
     alpha = _alpha_of(channels, calibration, folder)
-    old = str(read_stored(folder / MATRIX).header.get("TRACKNUM", "")).strip() or folder.name
+    header = read_stored(folder / MATRIX).header
+    if applied := str(header.get("ALPHA", "")).strip():
+        raise FormatError(
+            f"its rows were multiplied by alpha already (ALPHA is {applied})",
+            remedy="export the folder as it was measured",
+            path=folder / MATRIX,
+        )
+    old = str(header.get("TRACKNUM", "")).strip() or folder.name
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     in_name = TRACK_NUMBER.search(Path(output).name)
     track = in_name[0] if in_name else f"{now:%Y%m%d_%H%M%S}"
@@ -105,13 +114,15 @@ def export_supervisor(
             "has the track number of the measured matrix", remedy=remedy, path=output
         )
     known = np.isfinite(alpha)
+    relative = calibration.scale == Scale.MEAN_ONE
+    newtons = "true Newtons times one unknown factor" if relative else "true Newtons"
     corrected = np.where(known, alpha, 1.0)[:, None] * matrix
     lines: tuple[str, ...] = (
         f"{folder}: {len(channels)} channels, each row of the matrix multiplied by alpha of"
         f" {calibration.instrument}, {np.nanmin(alpha):.3f} .. {np.nanmax(alpha):.3f}",
         f"  verdict on alpha: {verdict}",
         f"  scale of alpha: {calibration.scale}",
-        "  forces are true Newtons: load alpha into the electronics together with these files",
+        f"  forces are {newtons}: load alpha into the electronics together with these files",
         f"  track number {track}; of the measured matrix: {old}",
     )
     if not known.all():
