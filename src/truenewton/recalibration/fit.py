@@ -150,7 +150,7 @@ def recalibrate(
     reference
         A campaign with POSITION, or a stiffness matrix, from before the replacement, or its path.
         Then the forces follow from the readings by the earlier stiffness except for what changed,
-        which is several times more precise (`reference`). The run needs POSITION.
+        which is several times more precise. The run needs POSITION.
     accept_rejected
         Use an earlier calibration with the verdict 'rejected', too.
     processes
@@ -290,9 +290,11 @@ def _by_reference(
     minimum = minimise(problem.a, [shapes], problem.prior, problem.prior.mean)
     calibration = _calibration(after, problem, moments, minimum, screened.rejected, scale, everyone)
     effects = (*calibration.effects, *screened.suspects, *screened.frozen)
+    # The noise is that of the residuals, so nothing is left to test the fit.
+    calibration = replace(calibration, effects=effects, goodness=None)
     degrees = found.degrees_of_freedom
     return Recalibration(
-        calibration=_with_faults(replace(calibration, effects=effects), before, ()),
+        calibration=_with_faults(calibration, before, ()),
         asked=tuple(ids[new].tolist()),
         moved=found.moved,
         earlier=before.alpha,
