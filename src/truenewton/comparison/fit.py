@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from truenewton import linalg
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, normal_isf
+from truenewton.recalibration.reference import factor_equations
 
 MAX_STEPS = 12
 MAX_STEP = 0.3  # of a logarithm
@@ -218,16 +219,12 @@ class ModeNoise:
     def equations(self, u: Array, t: Array, couplings: Couplings) -> tuple[Array, Array]:
         """Return the (2n,) score and the (2n, 2n) information of a and b without couplings."""
         left, right = self._inverses
-        left_t, t_right = left @ t, t @ right
-        weight, score = left_t * t_right, t * (left @ u @ right)
-        information = np.block(
-            [[left * (t_right @ t.T), weight], [weight.T, right * (t.T @ left_t)]]
-        )
+        score, information = factor_equations(t, left, right, left @ u @ right)
         if len(couplings):
             i, j = couplings.T
-            pulls = np.concatenate([left[:, i] * t_right[:, j], left_t[i].T * right[:, j]])
+            pulls = np.concatenate([left[:, i] * (t @ right)[:, j], (left @ t)[i].T * right[:, j]])
             information -= pulls @ np.linalg.solve(self._between(couplings), pulls.T)
-        return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
+        return score, information
 
     def with_leverage(self, t: Array, covariance: Array) -> ModeNoise:
         """Return the law with the leverage that factors of (2n, 2n) covariance have.

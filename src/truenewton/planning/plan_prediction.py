@@ -28,7 +28,6 @@ from truenewton.arrays import Array
 from truenewton.errors import LimitExceeded, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.reciprocity.sensor_model import Kind, Request, places_of
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.sensor_model import model_sensors
@@ -42,12 +41,12 @@ from truenewton.planning.forces import (
 )
 from truenewton.planning.prediction import (
     Prediction,
+    SensorInformation,
     predict,
     sensor_errors,
     sensor_information,
 )
 from truenewton.progress import report_progress, with_progress
-from truenewton.records.campaign import Campaign
 from truenewton.rounding import counted
 from truenewton.statics.load import LIKELY_COIL_SHIFT, Load
 
@@ -62,18 +61,14 @@ def predict_errors(ready: Prepared) -> Prediction:
     return _predict_for(ready, [ready.plan.cycles])[0]
 
 
-def _predict_for(ready: Prepared, cycles: Sequence[int]) -> list[Prediction]:
-    """Return the errors for several numbers of cycles."""
-    campaign, moments, alpha = _beforehand(ready)
-    return [predict(campaign, moments, r, alpha) for r in cycles]
-
-
-def _beforehand(ready: Prepared) -> tuple[Campaign, Moments, Array]:
-    """Return the campaign without noise, its moments, and alpha of the enabled actuators."""
+def _predict_for(
+    ready: Prepared, cycles: Sequence[int], gained: SensorInformation | None = None
+) -> list[Prediction]:
     campaign = noiseless(ready)
     # In a plan shapes repeat over loads and signs.
     moments = replace(campaign_moments(campaign), pooled=True)
-    return campaign, moments, np.full(moments.mean.shape[1], expected_alpha(ready.mirror))
+    alpha = np.full(moments.mean.shape[1], expected_alpha(ready.mirror))
+    return [predict(campaign, moments, r, alpha, gained) for r in cycles]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +108,10 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
         )
     except RankDeficient as error:
         return WithSensors(None, np.empty(0), np.empty(0), _curve([], []), error.fault)
-    campaign, moments, alpha = _beforehand(ready)
-    made = [predict(campaign, moments, r, alpha, gained) for r in cycles]
-    curve = _curve(list(map(float, cycles)), made)
-    errors, nothing = sensor_errors(gained, plan.cycles), np.zeros(len(alpha))
+    made = _predict_for(ready, cycles, gained)
+    planned, curve = made[cycles.index(plan.cycles)], _curve(cycles, made)
+    errors, nothing = sensor_errors(gained, plan.cycles), np.zeros(len(planned.alpha))
     gain, x, y = (errors.get(kind, nothing) for kind in (Kind.GAIN, Kind.X, Kind.Y))
-    planned = made[cycles.index(plan.cycles)]
     return WithSensors(planned, gain, np.asarray(np.hypot(x, y) / np.sqrt(2)), curve)
 
 
@@ -177,11 +170,6 @@ def third_load(ready: Prepared) -> ThirdLoad | None:
         error=then.error,
         error_now=now.error,
     )
-
-
-def duration(plan: CampaignPlan, shapes: int) -> float:
-    """Return the duration of a plan [s]: shapes with both signs, and the changes of load."""
-    return mountings(plan, shapes)[-1].end
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +243,8 @@ def predict_prepared(ready: Prepared) -> PlanPrediction:
         ready,
         prediction,
         asked,
-        duration(ready.plan, len(ready.shapes)),
-        _curve(list(map(float, cycles)), by_cycles),
+        mountings(ready.plan, len(ready.shapes))[-1].end,
+        _curve(cycles, by_cycles),
         _curve(*_by_weight(ready)),
         warnings,
         order_costs(ready.plan, ready.mirror, len(ready.shapes)),
@@ -286,9 +274,9 @@ def with_added(plan: CampaignPlan, factor: float) -> CampaignPlan:
     return replace(plan, loads=heavier)
 
 
-def _curve(values: list[float], predictions: list[Prediction]) -> Curve:
+def _curve(values: Sequence[float], predictions: list[Prediction]) -> Curve:
     errors = np.array([one.typical_errors for one in predictions]).reshape(-1, 3)
-    return Curve(np.array(values), *errors.T)
+    return Curve(np.array(values, dtype=np.float64), *errors.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,14 +315,14 @@ Ladder = Iterator[tuple[str, dict[str, Any]]]
 def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing: str) -> Change:
     """Return the first change that reaches the target, or the last within the limits."""
 
-    def breaks(change: tuple[str, dict[str, Any]]) -> bool:
-        return not within_limits(ready.changed(replace(ready.plan, **change[1])))
+    def changed(change: tuple[str, dict[str, Any]]) -> Prepared:
+        return ready.changed(replace(ready.plan, **change[1]))
 
     def error(change: tuple[str, dict[str, Any]]) -> float:
-        return predict_errors(ready.changed(replace(ready.plan, **change[1]))).typical
+        return predict_errors(changed(change)).typical
 
     changes = tuple(ladder)
-    allowed = changes[: bisect_left(changes, True, key=breaks)]
+    allowed = changes[: bisect_left(changes, True, key=lambda one: not within_limits(changed(one)))]
     if not allowed:
         why = "the limits allow no more" if changes else nothing
         return Change(what, False, why, None, float("nan"), float("nan"))
@@ -343,7 +331,8 @@ def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing
     if reached:
         chosen = allowed[bisect_left(allowed, True, key=lambda change: error(change) <= target)]
     words, plan = chosen[0], replace(ready.plan, **chosen[1])
-    return Change(what, reached, words, plan, error(chosen), duration(plan, len(ready.shapes)))
+    end = mountings(plan, len(ready.shapes))[-1].end
+    return Change(what, reached, words, plan, error(chosen), end)
 
 
 def _more_cycles(plan: CampaignPlan) -> Ladder:

@@ -139,14 +139,14 @@ def sensor_information(
 def predict(
     campaign: Campaign,
     moments: Moments,
-    cycles: int = 1,
-    alpha: Array | None = None,
+    cycles: int,
+    alpha: Array,
     gained: SensorInformation | None = None,
 ) -> Prediction:
     """Predict the errors of alpha from noiseless forces, by `ml` or by reciprocity.
 
     The campaign has one cycle for each load with the forces that would be commanded without noise,
-    and these moments; with (n,) alpha, 1 by default, they balance. FORCERR is the noise that one
+    and these moments; with (n,) alpha they balance. FORCERR is the noise that one
     reading will have, and each cycle will be run ``cycles`` times. With what reciprocity obtains
     from the same shapes, ``gained``, the errors are those of reciprocity.
     """
@@ -156,7 +156,6 @@ def predict(
     errors = weight_errors(campaign) | errors_between_loads(campaign, force)
     problem = problem_of(campaign, reading_noise(campaign, moments), errors)
     n, layout = problem.n, campaign.layout
-    alpha = np.ones(n) if alpha is None else alpha
     values = _true_values(problem, moments, alpha)
     if free:
         problem = with_patterns_held(problem, alpha[:, None] / np.linalg.norm(alpha))

@@ -22,7 +22,7 @@ from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.calibration.workers import executor_for
-from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_sf, t_sf
+from truenewton.chance import FALSE_ALARM, chance_of_any, t_sf
 from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
 from truenewton.estimation.campaign_ml import estimate_of
 from truenewton.estimation.findings.code import Code, Level
@@ -67,7 +67,7 @@ from truenewton.rounding import counted, percent
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import OTHER_UNIT, SAME_TEMPERATURE
-from truenewton.tracking.law import Outlier
+from truenewton.tracking.law import Outlier, probability_of
 
 MIN_PROBABILITY = 1e-3  # of chi2; below, all others together disagree with their calibration
 MAX_MOVED_FRACTION = 0.25  # of the actuators
@@ -88,8 +88,8 @@ class Recalibration:
         from the run as well.
     earlier
         (n,) alpha of the earlier calibration.
-    chi2, degrees_of_freedom, probability
-        Of all others against their earlier calibration; probability of a larger chi2.
+    chi2, degrees_of_freedom
+        Of all others against their earlier calibration.
     limits
         Limitations, in sentences.
     scatter
@@ -103,9 +103,13 @@ class Recalibration:
     earlier: Array
     chi2: float
     degrees_of_freedom: int
-    probability: float
     limits: tuple[str, ...]
     scatter: float = 0.0
+
+    @property
+    def probability(self) -> float:
+        """Probability of a larger chi2; NaN without degrees of freedom."""
+        return probability_of(self.chi2, self.degrees_of_freedom)
 
 
 @overload
@@ -230,23 +234,18 @@ def _recalibrated(
     problem, minimum = with_noise_from_minimum(problem, moments, minimum, degrees_of)
     rejected = (*screened.rejected, *lost)
     calibration = _calibration(before, problem, moments, minimum, rejected, scale, stay)
-    degrees = len(against.contrasts)
-    probability = float(chi2_sf(against.chi2, degrees)) if degrees else float("nan")
-    limits = tuple(_limits(before, data, probability, against.scatter.own))
-    effects = (*calibration.effects, *screened.suspects, *screened.frozen)
-    calibration = replace(calibration, effects=effects)
-    calibration = _with_faults(calibration, before, limits)
-    return Recalibration(
+    made = Recalibration(
         calibration=calibration,
         asked=tuple(ids[new].tolist()),
         moved=tuple(moved),
         earlier=before.alpha,
         chi2=against.chi2,
-        degrees_of_freedom=degrees,
-        probability=probability,
-        limits=limits,
+        degrees_of_freedom=len(against.contrasts),
+        limits=(),
         scatter=against.scatter.own,
     )
+    limits = tuple(_limits(before, data, made.probability, made.scatter))
+    return _with_findings(replace(made, limits=limits), before, screened)
 
 
 def _by_reference(
@@ -289,21 +288,18 @@ def _by_reference(
     shapes = mean_forces(problem, moments)
     minimum = minimise(problem.a, [shapes], problem.prior, problem.prior.mean)
     calibration = _calibration(after, problem, moments, minimum, screened.rejected, scale, everyone)
-    effects = (*calibration.effects, *screened.suspects, *screened.frozen)
-    # The noise is that of the residuals, so nothing is left to test the fit.
-    calibration = replace(calibration, effects=effects, goodness=None)
-    degrees = found.degrees_of_freedom
-    return Recalibration(
-        calibration=_with_faults(calibration, before, ()),
+    made = Recalibration(
+        # The noise is that of the residuals, so nothing is left to test the fit.
+        calibration=replace(calibration, goodness=None),
         asked=tuple(ids[new].tolist()),
         moved=found.moved,
         earlier=before.alpha,
         chi2=found.chi2,
-        degrees_of_freedom=degrees,
-        probability=float(chi2_sf(found.chi2, degrees)),
+        degrees_of_freedom=found.degrees_of_freedom,
         limits=(),
         scatter=found.scatter,
     )
+    return _with_findings(made, before, screened)
 
 
 def _find_moved(
@@ -353,18 +349,18 @@ def _find_moved(
             )
 
 
-def _with_faults(
-    calibration: Calibration, known: PriorCalibration, limits: Sequence[str]
-) -> Calibration:
-    """Add the limitations, and the findings on the earlier calibration.
+def _with_findings(
+    made: Recalibration, known: PriorCalibration, screened: ScreenedCampaign
+) -> Recalibration:
+    """Add the limitations, and the findings on the run and on the earlier calibration.
 
     Otherwise a rejected calibration could be used after a short run.
     """
     warnings = (
-        *(Finding.of(Code.RECALIBRATION_LIMIT, limit=limit) for limit in limits),
+        *(Finding.of(Code.RECALIBRATION_LIMIT, limit=limit) for limit in made.limits),
         *(Finding.of(Code.EARLIER_FINDING, cause=each) for each in known.verdict.faults),
     )
-    effects = calibration.effects
+    effects = (*made.calibration.effects, *screened.suspects, *screened.frozen)
     if known.verdict.level <= Level.REJECTED:
         effects += (
             Finding(
@@ -373,7 +369,8 @@ def _with_faults(
                 remedy=known.verdict.faults[0].remedy,
             ),
         )
-    return replace(calibration.with_warnings(warnings), effects=effects)
+    calibration = replace(made.calibration.with_warnings(warnings), effects=effects)
+    return replace(made, calibration=calibration)
 
 
 def _new(

@@ -285,15 +285,6 @@ def constrain(
     return replace(problem, prior=replace(problem.prior, information=information))
 
 
-def _loosely_constrained(problem: Problem, new: NDArray[np.bool_]) -> Problem:
-    """Return the problem with the common scale held, and each actuator loosely unless (n,) new."""
-    alpha = problem.prior.mean[: problem.n]
-    size = np.where(new, 1e3, LOOSE_ERROR) * alpha
-    stay = ~new / alpha / np.count_nonzero(~new)
-    information = np.diag(size**-2) + np.outer(stay, stay) / SCALE_ERROR**2
-    return replace(problem, prior=replace(problem.prior, information=information))
-
-
 def balancing(
     posed: Problem, known: PriorCalibration, screened: ScreenedCampaign, new: NDArray[np.bool_]
 ) -> tuple[Problem, Moments, Minimum, tuple[RejectedRow, ...]]:
@@ -302,9 +293,12 @@ def balancing(
     If the (n,) ``new`` actuators were held to their earlier calibration, good shapes would look
     bad.
     """
-    moments = screened.moments
+    moments, alpha = screened.moments, posed.prior.mean[: posed.n]
+    size = np.where(new, 1e3, LOOSE_ERROR) * alpha
+    stay = ~new / alpha / np.count_nonzero(~new)
+    information = np.diag(size**-2) + np.outer(stay, stay) / SCALE_ERROR**2
     try:
-        free = _loosely_constrained(posed, new)
+        free = replace(posed, prior=replace(posed.prior, information=information))
         belongs, distance, (problem, minimum) = balancing_groups(free, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
         free = constrain(posed, known, ~new)

@@ -11,11 +11,11 @@ that of the earlier calibration. Neither balance nor weights are needed.
 
 The residual u = c - y has covariance (1 + s Z M Z') x N: of shapes and of actuators. N is the noise
 of the forces of a row; s Z M Z' that of K, with M = (X'X)^-1 of the earlier shapes X, or 1 for a
-matrix; s is the likeliest. With shapes whitened, x = exp(b) z, T = diag(exp a) K, y = T x and
-W = N^-1,
+matrix; s is the likeliest. With shapes whitened, x = exp(b) z, T = diag(exp a) K, S = sum x x'
+and W = N^-1 the score is T o (W sum u x'), summed over rows for a and over columns for b, and the
+information
 
-    score        sum of y W u for a,      of x T' W u for b
-    information  W o sum y y',      (W T) o sum y x',      (T' W T) o sum x x'
+    W o (T S T'),      (W T) o (T S),      S o (T' W T)
 
 (o: elementwise). Actuators that were not replaced have a prior: a and b are normal about their
 means, with the scatter that a fit without it shows. Those that deviate from it are free, too.
@@ -118,11 +118,6 @@ class _Rows:
     readings: Array
     spread: Array
 
-    def whitened(self, share: float) -> _Rows:
-        """Return rows of equal variance, with a share s of noise by K."""
-        scale = 1.0 / np.sqrt(1.0 + share * self.spread)[:, None]
-        return _Rows(scale * self.force, scale * self.readings, self.spread)
-
 
 def _rows_of(moments: Moments, shape_noise: Array) -> _Rows:
     """Return the rows of a run, without the mean under each load."""
@@ -153,26 +148,31 @@ def _fitted(rows: _Rows, k: Array, prior: Array, start: _Fit, variance: Array) -
     """Return the likeliest factors with a (2n, 2n) information of the prior about a zero."""
     fit, n = start, len(k)
     for _ in range(STEPS):
-        white = rows.whitened(fit.share)
+        scale = 1.0 / np.sqrt(1.0 + fit.share * rows.spread)[:, None]
         a, gains = np.exp(fit.values[:n]), np.exp(fit.values[n:])
         true = a[:, None] * k
-        z = white.readings * gains
-        y = z @ true.T
-        u = white.force - y
+        z = scale * rows.readings * gains
+        u = scale * rows.force - z @ true.T
         noise = noise_of_rows(u, true * gains, variance, len(u) - fit.used)
         weights = inverse_of_positive(noise)
-        pulled = u @ weights
-        score = np.concatenate([(y * pulled).sum(axis=0), (z * (pulled @ true)).sum(axis=0)])
-        across = weights @ true
-        cross = across * (y.T @ z)
-        information = np.block(
-            [[weights * (y.T @ y), cross], [cross.T, (true.T @ across) * (z.T @ z)]]
-        )
+        score, information = factor_equations(true, weights, z.T @ z, weights @ u.T @ z)
         covariance = inverse_of_positive(information + prior)
         values = fit.values + covariance @ (score - prior @ fit.values)
         used = float(np.sum(information * covariance)) / n
         fit = _Fit(values, covariance, _share(rows, u, weights, fit.share), used)
     return fit
+
+
+def factor_equations(t: Array, left: Array, right: Array, pull: Array) -> tuple[Array, Array]:
+    """Return the (2n,) score and (2n, 2n) information of logarithms of row and column factors of T.
+
+    ``left`` and ``right`` are (n, n) inverse covariances of the columns and of the rows of the
+    residual, ``pull`` the residual between them.
+    """
+    left_t, t_right = left @ t, t @ right
+    score, cross = t * pull, left_t * t_right
+    information = np.block([[left * (t_right @ t.T), cross], [cross.T, right * (t.T @ left_t)]])
+    return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
 
 
 def _share(rows: _Rows, white: Array, weights: Array, before: float) -> float:

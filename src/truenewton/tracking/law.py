@@ -92,6 +92,11 @@ class Outlier:
     probability: float
 
 
+def probability_of(chi2: float, degrees: int) -> float:
+    """Return the probability of a larger chi2; NaN without degrees of freedom."""
+    return float(chi2_sf(chi2, degrees)) if degrees else float("nan")
+
+
 @dataclass(frozen=True, eq=False)
 class AlphaPrediction:
     """Alpha at one temperature and time.
@@ -211,8 +216,12 @@ class Tracking(Result):
     @property
     def probability(self) -> float:
         """Probability of a larger chi2; NaN without degrees of freedom."""
-        degrees = self.degrees_of_freedom
-        return float(chi2_sf(self.chi2, degrees)) if degrees else float("nan")
+        return probability_of(self.chi2, self.degrees_of_freedom)
+
+    @property
+    def common_expanded(self) -> float:
+        """Scatter of all together, enlarged for its degrees of freedom."""
+        return expanded(self.common_scatter, self.scatter_degrees)
 
     @property
     def errors(self) -> Array:
@@ -264,7 +273,7 @@ class Tracking(Result):
             for matrix in (self.covariance, self.systematic_covariance)
         )
         alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
-        common = alpha * expanded(self.common_scatter, self.scatter_degrees)
+        common = alpha * self.common_expanded
         covariance += np.diag((self.scatter * alpha) ** 2) + np.outer(common, common)
         return AlphaPrediction(
             alpha, np.sqrt(np.diag(covariance)), covariance, systematic_covariance
@@ -474,9 +483,9 @@ def validity_of(tracking: Tracking, accuracy: float) -> Validity:
     'from 25 to 30 deg C'
     """
     t, last = tracking, tracking.days[-1]
-    on, form = np.isfinite(t.alpha), _law_variance(t)
-    between = 2 * _scatter_variance(t)
-    now = float(np.mean((last.error[on] / last.alpha[on]) ** 2)) + between
+    day_variance = float(np.nanmean(t.scatter**2)) + t.common_expanded**2
+    on, form = np.isfinite(t.alpha), _law_variance(t, day_variance)
+    now = float(np.mean((last.error[on] / last.alpha[on]) ** 2)) + 2 * day_variance
     k = float(np.mean(t.coefficient[on] ** 2) + form[1, 1])
     d = float(np.mean((t.drift[on] / t.alpha[on]) ** 2) + form[2, 2])
     spare = max(accuracy**2 - now, 0.0)
@@ -508,16 +517,10 @@ def validity_of(tracking: Tracking, accuracy: float) -> Validity:
     )
 
 
-def _scatter_variance(tracking: Tracking) -> float:
-    """Return the mean square scatter of a day about the law."""
-    common = expanded(tracking.common_scatter, tracking.scatter_degrees)
-    return float(np.nanmean(tracking.scatter**2)) + common**2
-
-
-def _law_variance(tracking: Tracking) -> Array:
+def _law_variance(tracking: Tracking, day_variance: float) -> Array:
     """Return (3, 3) the mean relative variance of `alpha_at` as a form in (1, T - T0, t - t0).
 
-    It includes the readings and the scatter of days; k multiplies alpha, d does not.
+    It includes the readings and the (scalar) scatter of a day; k multiplies alpha, d does not.
     """
     on, n = np.isfinite(tracking.alpha), tracking.layout.n
     alpha = tracking.alpha[on]
@@ -525,7 +528,7 @@ def _law_variance(tracking: Tracking) -> Array:
     blocks = (tracking.covariance - tracking.systematic_covariance).reshape(3, n, 3, n)
     own = np.einsum("aibi->abi", blocks)[:, :, on]
     form = np.asarray(np.mean(own * scale[:, None] * scale[None], axis=2))
-    form[0, 0] += _scatter_variance(tracking)
+    form[0, 0] += day_variance
     return form
 
 
