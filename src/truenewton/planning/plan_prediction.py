@@ -254,7 +254,6 @@ def predict_prepared(ready: Prepared) -> PlanPrediction:
 
 
 def _cycles_around(planned: int) -> list[int]:
-    """Return powers of two and the cycles of the plan."""
     most = max(64, 4 * planned)
     return sorted({2**k for k in range(10) if 2**k <= most} | {planned})
 

@@ -172,7 +172,6 @@ def _remounting_pays(outcome: PlanPrediction) -> str:
 
 
 def _table(name: str, curve: Curve) -> Iterator[str]:
-    """Yield a curve: its values and the finite errors."""
     if curve.values.size:
         yield f"    {name:<22}" + "".join(f"{value:>9g}" for value in curve.values.tolist())
         for kind, error in (("E_ALPHA", curve.error), ("E_STAT", curve.statistical_error)):
@@ -200,7 +199,6 @@ def change_lines(target: float | None, changes: Sequence[Change]) -> Iterator[st
 
 
 def _time(seconds: float) -> str:
-    """Return a time in seconds, minutes or hours."""
     if seconds < 120:
         return f"{seconds:.3g} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
@@ -268,5 +266,4 @@ def values(
 
 
 def _typical_values(prediction: Prediction) -> dict[str, Any]:
-    """Return the typical errors: all, from the readings, from the weights."""
     return dict(zip(TYPICAL, prediction.typical_errors, strict=True))

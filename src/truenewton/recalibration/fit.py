@@ -226,7 +226,16 @@ def _recalibrated(
     screened = screen_campaign(data)
     if reference is not None:
         return _by_reference(screened, before, reference, new)
-    _refuse_too_little(screened.sound, screened.moments, int(new.sum()))
+    refuse([geometry_fault(enabled_arms(screened.sound.layout))])
+    found, wanted = (
+        len(screened.moments.rows),
+        Unknowns(int(new.sum()), len(screened.sound.loads)).count,
+    )
+    if 3 * found <= wanted:
+        raise RankDeficient(
+            f"there are too few shapes: {found} for {new.sum()} new actuators, bias and torques",
+            remedy="apply more shapes, both signs",
+        )
     errors, scale = shared_errors(before, data)
     problem = build_problem(before, screened, errors)
     problem, moments, minimum, lost = balancing(problem, before, screened, new)
@@ -398,17 +407,6 @@ def _require_enabled(layout: Layout, actuators: Sequence[int]) -> None:
             )
 
 
-def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
-    refuse([geometry_fault(enabled_arms(campaign.layout))])
-    wanted = Unknowns(new, len(campaign.loads)).count
-    if 3 * len(moments.rows) <= wanted:
-        raise RankDeficient(
-            f"there are too few shapes: {len(moments.rows)} for {new} new actuators, bias and"
-            " torques",
-            remedy="apply more shapes, both signs",
-        )
-
-
 def _calibration(
     known: PriorCalibration,
     problem: Problem,
@@ -447,7 +445,6 @@ def _calibration(
 def _limits(
     known: PriorCalibration, campaign: Campaign, probability: float, scatter: float
 ) -> Iterator[str]:
-    """Yield the limitations."""
     if probability < MIN_PROBABILITY and scatter:
         yield (
             f"each of the other actuators has changed by {percent(scatter)} since its earlier"

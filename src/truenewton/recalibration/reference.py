@@ -62,25 +62,13 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Ratios:
-    """Alpha of n actuators relative to the earlier one, and to the mean of those that stayed.
+    """Alpha of n actuators relative to the earlier one, and to the mean of those that stayed."""
 
-    Attributes
-    ----------
-    alpha, covariance
-        (n,) ratio, and (n, n) covariance of its logarithm.
-    moved
-        Actuators that deviate, besides those that were named.
-    scatter
-        Standard deviation of the others.
-    chi2, degrees_of_freedom
-        Of the others against no change.
-    """
-
-    alpha: Array
-    covariance: Array
-    moved: tuple[Outlier, ...]
-    scatter: float
-    chi2: float
+    alpha: Array  # (n,) ratio
+    covariance: Array  # (n, n) of its logarithm
+    moved: tuple[Outlier, ...]  # actuators that deviate, besides those that were named
+    scatter: float  # standard deviation of the others
+    chi2: float  # of the others against no change
     degrees_of_freedom: int
 
 

@@ -109,7 +109,7 @@ def gather_days(
         key=lambda day: (day.date, day.calibration.temperature),
     )
     for day in days:
-        _refuse_relative(day)
+        _refuse_unfit(day)
         refuse_unusable(day.calibration, accept_rejected=accept_rejected, path=day.name)
     for earlier, day in combinations(days, 2):
         _refuse_other_mirror(earlier, day)
@@ -166,22 +166,20 @@ def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
     ]
 
 
-def _refuse_relative(day: DatedCalibration) -> None:
-    c = day.calibration
-    if c.scale == Scale.MEAN_ONE:
-        raise FormatError(
-            "gives alpha relative to its mean, without what is common to all",
-            remedy="give calibrations whose scale comes from weights",
-            path=day.name,
-        )
-    if c.scale == Scale.GIVEN or "recalibrated" in c.method:
-        raise FormatError(
-            "contains an earlier calibration, which would count twice",
-            remedy="give the campaigns themselves, or full calibrations",
-            path=day.name,
-        )
-    if not np.isfinite(c.covariance[np.ix_(*[np.flatnonzero(c.layout.enabled)] * 2)]).all():
-        raise FormatError("COVARIANCE contains no numbers", remedy="calibrate again", path=day.name)
+def _refuse_unfit(day: DatedCalibration) -> None:
+    c, on = day.calibration, day.calibration.layout.enabled
+    for unfit, fault, remedy in (
+        (c.scale == Scale.MEAN_ONE,
+         "gives alpha relative to its mean, without what is common to all",
+         "give calibrations whose scale comes from weights"),
+        (c.scale == Scale.GIVEN or "recalibrated" in c.method,
+         "contains an earlier calibration, which would count twice",
+         "give the campaigns themselves, or full calibrations"),
+        (not np.isfinite(c.covariance[np.ix_(on, on)]).all(),
+         "COVARIANCE contains no numbers", "calibrate again"),
+    ):  # fmt: skip
+        if unfit:
+            raise FormatError(fault, remedy=remedy, path=day.name)
 
 
 def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None:
@@ -198,7 +196,7 @@ def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None
 
 def covariances(calibration: Calibration, on: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return statistical and systematic (m, m) covariance of alpha of the m actuators ``on``."""
-    at = np.ix_(np.flatnonzero(on), np.flatnonzero(on))
+    at = np.ix_(on, on)
     systematic_covariance = calibration.systematic_covariance[at]
     return calibration.covariance[at] - systematic_covariance, systematic_covariance
 

@@ -38,6 +38,7 @@ from truenewton.tracking.lines import (
     RelativeDays,
     Scatter,
     estimate_scatter,
+    expanded,
     linear_fit,
     relative_days,
     widen_outlying_day,
@@ -123,7 +124,6 @@ def track(
 
 
 def _law(given: Sequence[Named], *, accept_rejected: bool) -> Tracking:
-    """Return the law of one body."""
     days = gather_days(given, accept_rejected=accept_rejected)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
@@ -260,7 +260,7 @@ def _fit_lines(
         if len(contrasts):
             scatter = estimate_scatter(contrasts, covariance, np.eye(n), stay, common=True)
         own = np.where(stay, scatter.own, np.maximum(own, scatter.own))
-        fit = linear_fit(days, own, scatter.common_expanded)
+        fit = linear_fit(days, own, expanded(scatter.common, scatter.degrees))
         if not fit.actuator_degrees or len(jumped) >= MAX_OUTLIER_FRACTION * n:
             return fit, jumped, scatter, own
         worst = int(np.where(stay, fit.actuator_chi2, 0.0).argmax())
@@ -278,7 +278,6 @@ def _fit_lines(
 def _limits_of(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], scatter: Scatter, effects: int
 ) -> Iterator[str]:
-    """Yield further limitations of the law."""
     if len(weight_groups(days)) > 1:
         yield "weights or their errors differ between days: their errors are independent"
     if not on.all():

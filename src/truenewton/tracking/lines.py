@@ -66,11 +66,6 @@ class RelativeDays:
     changes: Array  # (J, n, m) changes by m errors of the weights, at 1 sigma
     settings: Array  # (J, q) temperature and time
 
-    def without(self, day: int) -> RelativeDays:
-        """Return all but one of the days."""
-        others = np.arange(len(self.values)) != day
-        return RelativeDays(*(each[others] for each in vars(self).values()))
-
     def contrasts(self) -> tuple[Array, Array]:
         """Return (f, n) contrasts independent of any law (see above), and their covariance."""
         off = contrast_directions(self.settings)
@@ -216,11 +211,6 @@ class Scatter:
     common: float = 0.0  # s_c, common to all
     degrees: int = 0  # of freedom of s_c; 0 if scatter cannot be estimated
 
-    @property
-    def common_expanded(self) -> float:
-        """s_c as `expanded`."""
-        return expanded(self.common, self.degrees)
-
     def degrees_of(self, variance: float) -> float:
         """Return the degrees of freedom of a variance that contains s^2 (Satterthwaite)."""
         error = self.own_variance_error
@@ -361,8 +351,8 @@ def widen_outlying_day(
         sizes = [float(np.var(y) if own else y.mean() ** 2) for y, _, _ in contrasts]
         j = int(np.argmax(sizes))
         y, v, share = contrasts[j]
-        rest = relative.without(j).contrasts()
-        scatter = estimate_scatter(*rest, np.eye(len(stay)), stay, common=True)
+        others = RelativeDays(*(np.delete(each, j, axis=0) for each in vars(relative).values()))
+        scatter = estimate_scatter(*others.contrasts(), np.eye(len(stay)), stay, common=True)
         chance = (_chance_of_own if own else _chance_of_common)(y, v, scatter)
         if chance_of_any(chance, len(OFF) * len(days)) < FALSE_ALARM:
             size, c = np.sqrt(sizes[j]) / share, days[j].calibration

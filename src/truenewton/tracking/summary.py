@@ -107,7 +107,6 @@ def table_of(tracking: Tracking | Parts[Tracking]) -> Iterator[str]:
 
 
 def _validity_lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]:
-    """Yield when a new calibration is due."""
     if accuracy is None:
         return
     v = validity_of(tracking, accuracy)
