@@ -26,7 +26,7 @@ from truenewton.estimation.problem import problem_of
 from truenewton.estimation.screening.noise import Noise
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
-from truenewton.planning.forces import noiseless, prepared
+from truenewton.planning.forces import noiseless, prepared_bodies
 from truenewton.planning.plan_prediction import third_load
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
@@ -150,7 +150,7 @@ def uncorrected(campaign):
 @pytest.mark.parametrize("drift", [AssumedDrift(3e-4, 0.0), AssumedDrift(0.0, 2e-6)])
 def test_the_estimator_moves_the_scale_as_predicted(loads, cycles, turns, drift):
     plan = replace(PLAN, loads=loads, cycles=cycles, turns=turns, drift=drift, force_noise=1e-5)
-    ready = prepared(plan)
+    ready = prepared_bodies(plan)[0]
     still = uncorrected(drifting(replace(plan, drift=AssumedDrift(0, 0)), noiseless(ready)))
     moved = uncorrected(drifting(plan, noiseless(ready))) / still - 1
     cost, block = (order_cost(replace(plan, turns=t), p45(), 45) for t in (turns, 1))
@@ -177,7 +177,7 @@ def test_loads_are_mounted_again_where_drift_costs_more_than_that():
 
 
 def test_a_third_load_shows_what_two_cannot():
-    ready = prepared(replace(PLAN, turns=1))
+    ready = prepared_bodies(replace(PLAN, turns=1))[0]
     third = third_load(ready)
     assert third.like == "ring"
     moved = 45 * np.mean(p45().alpha_range) * 1e-5 / 0.289  # by a mounting
@@ -186,9 +186,9 @@ def test_a_third_load_shows_what_two_cannot():
     assert third.duration == pytest.approx(1800 + 4 * cycle_time(PLAN, 45))
     assert third.mountings == 1
     assert third.error < third.error_now
-    assert third_load(prepared(replace(PLAN, loads=THREE))) is None
-    assert third_load(prepared(replace(PLAN, loads=RING[:1]))) is None
-    leaning = third_load(prepared(replace(PLAN, loads=(THREE[0], THREE[2]))))
+    assert third_load(prepared_bodies(replace(PLAN, loads=THREE))[0]) is None
+    assert third_load(prepared_bodies(replace(PLAN, loads=RING[:1]))[0]) is None
+    leaning = third_load(prepared_bodies(replace(PLAN, loads=(THREE[0], THREE[2])))[0])
     assert leaning.like == "leaning"
     assert leaning.relative < 0.05
 

@@ -30,7 +30,7 @@ from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.sensor_model import sensor_model
 from truenewton.planning.figures import plot_plan
-from truenewton.planning.forces import holding, noiseless, prepared, strain
+from truenewton.planning.forces import holding, noiseless, prepared_bodies, strain
 from truenewton.planning.plan_prediction import (
     predict_errors,
     predict_prepared,
@@ -50,7 +50,7 @@ PLAN = CampaignPlan("p45", LOADS)
 
 @pytest.fixture(scope="module")
 def ready():
-    return prepared(PLAN)
+    return prepared_bodies(PLAN)[0]
 
 
 def declared(campaign, noise):
@@ -173,7 +173,7 @@ def test_reciprocity_states_and_scatters_as_was_predicted(ready):
 
 
 def test_without_all_motions_there_is_no_reciprocity(ready):
-    few = prepared(replace(PLAN, shapes=PlannedShapes(count=30)))
+    few = prepared_bodies(replace(PLAN, shapes=PlannedShapes(count=30)))[0]
     found = predict_prepared(few)
     assert found.reciprocity.planned is None
     assert found.reciprocity.why_not == "no shape contains 15 of 45 motions of the mirror"
@@ -230,7 +230,7 @@ def test_one_load_or_equal_ones_leave_the_scale_free(ready):
 def test_too_few_shapes_are_refused_and_weak_ones_warned_of(ready):
     few = replace(PLAN, shapes=PlannedShapes(count=8))
     with pytest.raises(RankDeficient, match="too few shapes: 8 for 45"):
-        predict_errors(prepared(few))
+        predict_errors(prepared_bodies(few)[0])
     loud = predict_errors(ready.changed(replace(PLAN, force_noise=0.15)))
     assert loud.diagnosis.undetermined > 4
     assert loud.diagnosis.warnings[0].code == "planned-refusal"
@@ -252,7 +252,7 @@ def test_every_way_that_reaches_the_target_does_when_planned_anew(ready):
     reached = [change for change in changes.values() if change.reached]
     assert {change.what for change in reached} >= {"cycles", "shapes"}
     for change in reached:
-        again = predict_prepared(prepared(change.plan))
+        again = predict_prepared(prepared_bodies(change.plan)[0])
         assert again.prediction.typical <= target
         assert again.prediction.typical == pytest.approx(change.error, rel=1e-6)
         assert again.duration == pytest.approx(change.duration)
@@ -290,14 +290,14 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
     assert force == pytest.approx(modes @ matrix.stiffness.T)
     assert np.abs(modes).max() == pytest.approx(0.8e-6)
     assert np.abs(force).max() == pytest.approx(0.3)
-    by_measured = prepared(plan, tmp_path)
+    by_measured = prepared_bodies(plan, tmp_path)[0]
     assert not by_measured.given
     assert predict_errors(by_measured).typical == pytest.approx(
         predict_errors(ready).typical, rel=0.01
     )
 
     write_shapes(tmp_path / "given.fits", 0.5 * ready.shapes)
-    given = prepared(replace(PLAN, shapes=PlannedShapes("given.fits")), tmp_path)
+    given = prepared_bodies(replace(PLAN, shapes=PlannedShapes("given.fits")), tmp_path)[0]
     assert given.given
     half, whole = predict_errors(given), predict_errors(ready)
     # Twice, but for what the static forces say of alpha.
@@ -310,7 +310,7 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
     ):
         write_shapes(tmp_path / "given.fits", wrong)
         with pytest.raises((RankDeficient, tn.errors.FormatError), match=said):
-            predict_errors(prepared(given.plan, tmp_path))
+            predict_errors(prepared_bodies(given.plan, tmp_path)[0])
 
 
 def test_disabled_actuators_take_no_part(ready):
@@ -402,7 +402,7 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
     code, out, err = inside("plan", file, "--json", "--target", "0.005", "--plot", figure)
     assert (code, err) == (0, "")
     values = json.loads(out)
-    found = predict_errors(prepared(PLAN))
+    found = predict_errors(prepared_bodies(PLAN)[0])
     assert values["typical_error"] == pytest.approx(found.typical)
     assert values["actuators"]["e_alpha"] == pytest.approx(found.error)
     reciprocity = values["reciprocity"]

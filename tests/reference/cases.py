@@ -28,7 +28,7 @@ from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
 from truenewton.mirrors.known import mmt336, p45
 from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.modal.findings import find_modes
-from truenewton.planning.forces import prepared
+from truenewton.planning.forces import prepared_bodies
 from truenewton.planning.plan_prediction import predict_errors
 
 Array = np.ndarray
@@ -272,7 +272,7 @@ def recalibration() -> tn.Calibration:
 @case("plan", fast=True)
 def plan() -> Result:
     loads = (tn.Load("bare"), tn.Load("ring", -0.289, 0.005, tool="ring"))
-    found = predict_errors(prepared(CampaignPlan("p45", loads)))
+    found = predict_errors(prepared_bodies(CampaignPlan("p45", loads))[0])
     sentences = tuple(f"{line.source}: {line.relative:.6g}" for line in found.scale_errors)
     columns = {
         "ALPHA": found.alpha,

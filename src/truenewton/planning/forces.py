@@ -13,7 +13,6 @@ from truenewton.acquisition.plan import (
     expected_alpha,
     model_glass,
     planned_bodies,
-    planned_mirror,
     shapes_and_forces,
 )
 from truenewton.arrays import Array
@@ -60,15 +59,11 @@ class Prepared:
         return replace(self, plan=plan, shapes=larger * self.shapes, force=larger * self.force)
 
 
-def prepared(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Prepared:
-    """Return a plan with its forces; files that it names are relative to a folder."""
-    return _prepared(plan, planned_mirror(plan, folder), folder)
-
-
 def prepared_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> list[Prepared]:
-    """Return `prepared` of a mirror in one piece, or of each of its segments that differ.
+    """Return a plan with its forces, of a mirror in one piece or each of the segments that differ.
 
-    Every segment carries the loads of the plan and has its own shapes.
+    Every segment carries the loads of the plan and has its own shapes. Files that the plan names
+    are relative to a folder.
     """
     bodies = planned_bodies(plan, folder)
     worst = f", the worst of {len(bodies)} that differ" if len(bodies) > 1 else ""
