@@ -95,16 +95,8 @@ def export_supervisor(
     if verdict.level <= Level.DOUBTFUL and not accept_rejected:
         raise refusal_of(verdict.level, verdict.faults[0].fault, verdict.faults[0].remedy)
     folder = Path(folder)
-    channels, matrix = _measured(folder)
+    channels, matrix, old = _measured(folder)
     alpha = _alpha_of(channels, calibration, folder)
-    header = read_stored(folder / MATRIX).header
-    if applied := str(header.get("ALPHA", "")).strip():
-        raise FormatError(
-            f"its rows were multiplied by alpha already (ALPHA is {applied})",
-            remedy="export the folder as it was measured",
-            path=folder / MATRIX,
-        )
-    old = str(header.get("TRACKNUM", "")).strip() or folder.name
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     in_name = TRACK_NUMBER.search(Path(output).name)
     track = in_name[0] if in_name else f"{now:%Y%m%d_%H%M%S}"
@@ -155,8 +147,8 @@ def _write_files(
         yield f"  {name + '.fits':<16}{content}{f' [{unit}]' * bool(unit)}"
 
 
-def _measured(folder: Path) -> tuple[NDArray[np.int64], Array]:
-    """Return (m,) channels of a supervisor's folder and the (m, m) matrix, as stored."""
+def _measured(folder: Path) -> tuple[NDArray[np.int64], Array, str]:
+    """Return (m,) channels of a supervisor's folder, the (m, m) matrix as stored, track number."""
     if not (folder / MATRIX).is_file():
         raise UnreadableFile(
             f"contains no {MATRIX}",
@@ -171,7 +163,14 @@ def _measured(folder: Path) -> tuple[NDArray[np.int64], Array]:
             remedy="give ff_matrix.fits and ff_list.fits of one measurement",
             path=folder / MATRIX,
         )
-    return channels, matrix
+    header = read_stored(folder / MATRIX).header
+    if applied := str(header.get("ALPHA", "")).strip():
+        raise FormatError(
+            f"its rows were multiplied by alpha already (ALPHA is {applied})",
+            remedy="export the folder as it was measured",
+            path=folder / MATRIX,
+        )
+    return channels, matrix, str(header.get("TRACKNUM", "")).strip() or folder.name
 
 
 def _alpha_of(channels: NDArray[np.int64], calibration: Calibration, folder: Path) -> Array:
