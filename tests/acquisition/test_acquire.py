@@ -307,7 +307,7 @@ def test_a_campaign_whose_last_shapes_are_unsound_is_not_complete(tmp_path):
         and (shape.number, shape.sign) in ((2, -1), (3, 1), (3, -1))
     )
     spoil = lambda shape, r: dataclasses.replace(r, settled=not late(shape, r))  # noqa: E731
-    with pytest.raises(BenchFault, match="3 shapes in a row gave no sound reading, the last shape"):
+    with pytest.raises(BenchFault, match="3 shapes in a row gave no valid reading, the last shape"):
         tn.acquire(StubBench(spoil=spoil), small_plan(), tmp_path / "c")
     assert not (tmp_path / "c" / "ring-002.fits").exists()
     tn.acquire(StubBench(), small_plan(), tmp_path / "c")

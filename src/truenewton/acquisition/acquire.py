@@ -314,7 +314,7 @@ def _put_on(run: Run, load: Load, number: int, *, again: bool = False) -> Array:
                 run.operator.put_on(load)
         reading, fault = run.taker.take(rest)
         if reading is None or fault:
-            raise BenchFault(f"no sound reading at rest: {fault}", remedy="check the bench")
+            raise BenchFault(f"no valid reading at rest: {fault}", remedy="check the bench")
         total = sum_at_rest(layout, reading.force)
         error = sum_error(layout, reading, run.plan.samples)
         on, why = judge(run.mirror.weight, run.plan.loads, load, sums, total, error)
@@ -387,7 +387,7 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
     at_end = (shape.number, shape.sign) == (len(run.shapes), -1)
     if in_a_row == MAX_INVALID_IN_A_ROW or (at_end and in_a_row >= MAX_INVALID_AT_END):
         raise BenchFault(
-            f"{in_a_row} shapes in a row gave no sound reading, the last {shape_name(shape)}:"
+            f"{in_a_row} shapes in a row gave no valid reading, the last {shape_name(shape)}:"
             f" {fault}",
             remedy="check the bench",
         )

@@ -144,8 +144,8 @@ def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
         yield (
             f"  advice: A third load with the weight and uncertainty of '{third.like}' reduces the"
             f" scale error from {percent(third.error_now)} to {percent(third.error)}. It detects"
-            f" {1e3 * third.seen:.2g} mN ({percent(third.relative)} of the scale) of '{third.like}'"
-            " that are wrong or rest on something else, which two loads cannot detect. It takes"
+            f" an error of {1e3 * third.seen:.2g} mN ({percent(third.relative)} of the scale) in"
+            f" '{third.like}', or as much that rests on something else. Two loads cannot. It takes"
             f" {_time(third.duration)} and {third.mountings} more load changes."
         )
 

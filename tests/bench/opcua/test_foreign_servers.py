@@ -185,7 +185,7 @@ def test_a_server_written_from_the_page_takes_a_campaign_and_no_row_is_lost_by_n
     finally:
         read.call = sound
     assert (code, err.count("\n")) == (2, 1)
-    assert "5 shapes in a row gave no sound reading" in err
+    assert "5 shapes in a row gave no valid reading" in err
     for _, _, said in NONSENSE:
         assert said in out + err
     assert inside(*command)[0] == 0

@@ -186,7 +186,7 @@ def comparison_sections(c: Comparison | Parts[Comparison]) -> Iterator[Section]:
                     couplings,
                 ),
                 TextTable(
-                    "All figures", ("figure", "value", "note"), tuple(figures(one)), wraps=True
+                    "All numbers", ("quantity", "value", "note"), tuple(figures(one)), wraps=True
                 ),
             ),
         )
@@ -200,7 +200,7 @@ def _summaries(change: Change) -> TextTable:
     rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in pair)),
             ("method", *(c.method for c in pair))]  # fmt: skip
     rows += [(name, one.get(name, ""), other.get(name, "")) for name in {**one, **other}]
-    return TextTable("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
+    return TextTable("All numbers", ("quantity", "first", "second"), tuple(rows), wraps=True)
 
 
 def _files(sources: tuple[Source, ...], caption: str) -> TextTable:
@@ -458,7 +458,7 @@ def times(findings: Findings) -> Section:
 def all_figures(c: Calibration) -> TextTable:
     """Return name, value and note of all figures of a calibration."""
     rows = tuple(summary_rows(c))
-    return TextTable("All figures", ("figure", "value", "note"), rows, wraps=True)
+    return TextTable("All numbers", ("quantity", "value", "note"), rows, wraps=True)
 
 
 def segment_sections(c: Parts[Calibration]) -> tuple[Section, ...]:
