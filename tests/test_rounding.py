@@ -66,7 +66,7 @@ def test_percent_has_two_digits(ratio, text):
 
 def test_json_has_null_for_what_is_not_finite(capsys):
     values = {"a": np.array([1.0, np.nan]), "b": [float("inf")], "c": "x", "d": np.int64(3)}
-    print_result([], values=values, schema="any")
+    print_result([], values=values, schema="any", json=True)
     plain = {"a": [1.0, None], "b": [None], "c": "x", "d": 3}
     assert json.loads(capsys.readouterr().out) == {"schema": "truenewton.any/2", **plain}
 

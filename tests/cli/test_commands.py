@@ -374,7 +374,7 @@ def test_every_command_and_example_in_the_readme_runs(tmp_path, monkeypatch, ins
     """In order, in one folder, as a reader would; `make` and installing are tried elsewhere."""
     monkeypatch.chdir(tmp_path)
     write_feedforward(tmp_path / "feedforward.fits")
-    assert run_page(README, inside) == 3
+    assert run_page(README, inside) == 4
     assert sum(run_page(page, inside) for page in sorted((ROOT / "docs").glob("*.md"))) >= 4
     assert run_page(ROOT / "CONTRIBUTING.md", inside) == 3
 

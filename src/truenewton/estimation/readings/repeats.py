@@ -25,11 +25,11 @@ from truenewton.estimation.readings.rows import (
     BlockSums,
     FileSums,
     GroupBlock,
+    GroupBlocks,
     WithoutWorst,
     added,
     common_reference,
     file_rows,
-    group_blocks,
     is_displaced,
     mean_displacement,
     rest_positions,
@@ -83,8 +83,8 @@ class RepeatSums:
         coming = [turn[group] for group in groups_of_rows]
         groups, n = len(first), int(campaign.layout.enabled.sum())
         rows = file_rows(campaign, self._reference, coming, printed)
-        self._blocks = group_blocks(rows, groups, n)  # of the rows that are not left out
-        count = len(self._blocks)
+        self._blocks = GroupBlocks(rows, groups, n)  # of the rows that are not left out
+        count = len(self._blocks.spans)
         self._mean, self._known = np.empty((groups, n)), np.zeros((groups, 3))
         self._scatter_of, self.furthest = np.zeros((2, count, n))
         self.samples = [np.empty((0, n))] * count
@@ -110,7 +110,7 @@ class RepeatSums:
     def _keep(self, sums: BlockSums) -> None:
         """Put the sums of a block to the others."""
         block = sums.block
-        groups = self._coming[self._blocks[block].span]
+        groups = self._coming[self._blocks.spans[block]]
         self._mean[groups], self._known[groups] = sums.mean, sums.known
         self._scatter_of[block], self.furthest[block] = sums.scatter, sums.furthest
         self.samples[block] = sums.sample
@@ -126,11 +126,13 @@ class RepeatSums:
     def moments(self) -> Moments:
         """Moments of the rows that are not left out."""
         turn = np.argsort(self._coming)
+        sizes = [(block.number, block.weight) for block in self._blocks]
+        number, weight = map(np.concatenate, zip(*sizes, strict=True))
         return Moments(
             loads=self.campaign.loads,
             labels=self._labels,
-            rows=np.concatenate([block.number for block in self._blocks])[turn],
-            weight=np.concatenate([block.weight for block in self._blocks])[turn],
+            rows=number[turn],
+            weight=weight[turn],
             mean=self._mean,
             known=self._known,
             scatter=self._scatter_of.sum(axis=0),
@@ -168,7 +170,7 @@ class RepeatSums:
         function = partial(mean_displacement, positions=positions, zeros=zeros)
         mean = np.empty_like(self._mean)
         for block, values in each(function, self._blocks, self.client):
-            mean[self._coming[self._blocks[block].span]] = values
+            mean[self._coming[self._blocks.spans[block]]] = values
         return mean
 
     def leave_out_worst(
@@ -191,7 +193,7 @@ class RepeatSums:
             if left is None:
                 return
             rejected.extend(left.rejected)
-            self._blocks[left.block.index] = left.block
+            self._blocks.left[left.block.index] = left.block
             displaced = any(is_displaced(self.campaign.cycles[r.cycle]) for r in left.rejected)
             self.stale |= displaced or left.sums is None
             if left.sums is not None and not self.stale:
@@ -200,7 +202,7 @@ class RepeatSums:
         ids = self.campaign.layout.id[self.campaign.layout.enabled]
         function = partial(without_worst, noise=noise, limit=limit, ids=ids)
         if blocks:
-            some = [self._blocks[index] for index in blocks]
+            some = map(self._blocks.__getitem__, blocks)
             change = divided(function, some, take, added, self.client)
             self._by_file = added(self._by_file, change)
             vars(self).pop("moments", None)  # of the rows before
@@ -258,7 +260,7 @@ class RowPrints:
         self.of_first: list[Array] = []
         self.readings: dict[tuple[int, int], NDArray[np.float32]] = {}
 
-    @cached_property
+    @property
     def common_rows(self) -> NDArray[np.float32]:
         """(files, m, n) readings under the labels that all files have [N]."""
         files = range(1 + max(file for file, _ in self.taken))

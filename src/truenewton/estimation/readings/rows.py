@@ -395,19 +395,32 @@ def file_rows(
     return found
 
 
-def group_blocks(layers: Sequence[FileRows], groups: int, n: int) -> list[GroupBlock]:
-    """Cut so many groups into blocks, as they come, with the rows of n readings of each."""
-    number = np.zeros(groups, dtype=np.int64)
-    for layer in layers:
-        number[layer.group] += 1
-    most = int(np.clip(BLOCK_BYTES // (8 * n * number.max()), 1, ROWS_AT_ONCE))
-    heaviest, blocks = max(layer.weight for layer in layers), list[GroupBlock]()
-    for start in range(0, groups, most):
-        span = slice(start, min(start + most, groups))
-        parts = (layer.within(span) for layer in layers)
+class GroupBlocks:
+    """The blocks of groups of a campaign, each made when it is read: their rows take memory.
+
+    ``spans`` are the groups of each block, as they come, ``left`` the blocks without some rows.
+    """
+
+    def __init__(self, layers: Sequence[FileRows], groups: int, n: int) -> None:
+        """Cut so many groups into blocks, with the rows of n readings of each."""
+        number = np.zeros(groups, dtype=np.int64)
+        for layer in layers:
+            number[layer.group] += 1
+        most = int(np.clip(BLOCK_BYTES // (8 * n * number.max()), 1, ROWS_AT_ONCE))
+        self.spans = [slice(at, min(at + most, groups)) for at in range(0, groups, most)]
+        self.left = dict[int, GroupBlock]()
+        self._layers, self._heaviest = layers, max(layer.weight for layer in layers)
+
+    def __iter__(self) -> Iterator[GroupBlock]:
+        return map(self.__getitem__, range(len(self.spans)))
+
+    def __getitem__(self, index: int) -> GroupBlock:
+        if index in self.left:
+            return self.left[index]
+        span = self.spans[index]
+        parts = (layer.within(span) for layer in self._layers)
         here = tuple(part for part in parts if part is not None)
-        blocks.append(GroupBlock(len(blocks), span, here, heaviest))
-    return blocks
+        return GroupBlock(index, span, here, self._heaviest)
 
 
 # -- sums of a block ------------------------------------------------------------------------------
