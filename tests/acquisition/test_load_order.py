@@ -275,7 +275,8 @@ def test_the_plan_says_what_each_order_costs_and_a_third_load(inside, tmp_path):
         "one after the other 0.70 %",
         "92 min planned",
         "turns = 3 (2 more mountings in 60 min give 1.7 %; more cycles in that time give 1.9 %)",
-        "the scale error from 1.7 % to 1.2 %. It detects an error of 21 mN (7.4 % of the scale) in 'ring'",
+        "the scale error from 1.7 % to 1.2 %.",
+        "It detects an error of 21 mN (7.4 % of the scale) in 'ring'",
         "It takes 91 min and 3 more load changes",
     ):
         assert " ".join(words.split()) in " ".join(out.split())
