@@ -142,15 +142,28 @@ def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0, has: Any = N
 
     mask = mask_of(value)
     try:
-        plain = u.Quantity(np.asarray(getattr(value, "unmasked", value)), own)
+        plain = u.Quantity(_numbers_of(getattr(value, "unmasked", value), name), own)
         if of_mass and plain.unit.is_equivalent(u.kg):
             plain = of_mass * plain.to_value(u.kg) * u.Unit(unit)
         numbers = plain.to_value(u.Unit(unit), equivalencies=u.temperature())
+    except FormatError:
+        raise
     except (u.UnitsError, TypeError, ValueError):
         raise other_unit(name, str(own) or "numbers without unit", wanted) from None
     if mask is not None:
         return np.ma.masked_array(numbers, mask)
     return float(numbers) if np.ndim(numbers) == 0 else np.asarray(numbers)
+
+
+def _numbers_of(value: Any, name: str) -> NDArray[Any]:
+    """Return (...,) numbers; texts among them are refused."""
+    numbers = np.asarray(value)
+    try:
+        return numbers.astype(float) if numbers.dtype.kind in "OSU" else numbers
+    except (TypeError, ValueError) as error:
+        raise FormatError(
+            f"{name.upper()} is not numbers ({error})", remedy="give numbers"
+        ) from None
 
 
 def taking_units(
@@ -184,8 +197,8 @@ def mask_of(value: Any) -> NDArray[np.bool_] | None:
 def unit_of(value: Any) -> Any:
     """Return the unit of numbers, of astropy or in ``attrs`` of xarray and pandas; or None."""
     if isinstance(attrs := getattr(value, "attrs", None), Mapping):
-        if hasattr(value, "iloc") and value.ndim == 2 and value.size:  # a DataFrame of Quantities
-            attrs = {"unit": getattr(value.iloc[0, 0], "unit", None), **attrs}
+        if hasattr(value, "iloc") and value.size:  # pandas may contain Quantities
+            attrs = {"unit": getattr(value.iloc[(0,) * value.ndim], "unit", None), **attrs}
         return attrs.get("units", attrs.get("unit"))
     return getattr(value, "unit", None)
 

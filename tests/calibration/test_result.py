@@ -19,7 +19,7 @@ def test_alpha_of_ids(p45_calibration):
     c = p45_calibration
     assert len(c) == 45
     assert np.array_equal(c.alpha_of([17, 3]), [c.alpha[16], c.alpha[2]])
-    with pytest.raises(UnknownName, match="P45 has no actuators 0 and 46"):
+    with pytest.raises(UnknownName, match="there is no actuators 0 and 46"):
         c.alpha_of([0, 17, 46])
 
 

@@ -450,8 +450,8 @@ COMMAND_LINES = {
     "no output": (["figures", "x"], "Missing option '-o' / '--output'; see 'truenewton figures"),
     "no number": (["simulate", "p45", "-o", "x", "--seed", "one"], "Invalid value for '--seed'"),
     "words for IDs": (
-        ["recalibrate", "x", "--known", "y", "--actuators", "three"],
-        "'three'; give IDs, as 17,18",
+        ["recalibrate", "x", "--known", "y", "--actuators", "17,,18"],
+        "'17,,18'; give IDs, as 17,18",
     ),
     "no mirror like it": (["simulate", "p54", "-o", "x"], "p54"),
 }

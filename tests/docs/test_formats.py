@@ -24,6 +24,7 @@ KINDS = {
     "count": "integer",
     "bool": "logical",
     "float": "number",
+    "label": "integer or text",
 }
 FORMATS = {
     "The cycle file": CYCLE,

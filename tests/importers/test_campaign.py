@@ -117,9 +117,56 @@ def test_segments_are_described_one_by_one_with_text_ids_in_any_order(tmp_path, 
     places.assign(SEGMENT=1).to_csv(tmp_path / "positions.csv", index=False)
     assert inside("import", path, "-o", tmp_path / "made")[0] == 0
     layout = tn.read(tmp_path / "made").layout
-    assert np.array_equal(layout.id, IDS[::-1])
+    assert layout.names.tolist() == places.ID.tolist()
+    assert np.array_equal(layout.id, np.sort(IDS))
     assert np.array_equal(layout.segment, np.ones(IDS.size))
     places.assign(SEGMENT=1 + np.arange(IDS.size) // 7).to_csv(tmp_path / "positions.csv")
     code, _, error = inside("import", path)
     assert code == 2
     assert "has actuators of 2 segments, which balance separately; describe each" in error
+
+
+@pytest.mark.parametrize("force", ["{id}", "F{id}", "force [mN]"])
+def test_texts_as_ids_are_kept_beside_numbers_in_the_order_of_the_positions(
+    tmp_path, inside, force
+):
+    """F01, F02, ..., in columns of their own or in a column of a long table."""
+    names = np.array([f"F{i:02d}" for i in IDS])
+    path = written(tmp_path, "csv", {DEFAULT: f'force = "{force}"'})
+    places = pd.read_csv(tmp_path / "positions.csv").assign(ID=names)
+    places.iloc[::-1].to_csv(tmp_path / "positions.csv", index=False)
+    for cycle in CAMPAIGN:
+        table = pd.DataFrame(1e3 * cycle.force, columns=names)
+        table = pd.concat([pd.DataFrame({"Shape": cycle.shape, "Sign": cycle.sign}), table], axis=1)
+        if "{id}" not in force:
+            table = table.melt(["Shape", "Sign"], var_name="actuator", value_name=force)
+            text = path.read_text().replace('mN"\n\n[units]', 'mN"\n[units]')
+            path.write_text(text.replace('# actuator = "actuator"', 'actuator = "actuator"'))
+        table.to_csv(tmp_path / f"{cycle.load.name}-{cycle.number}.csv", index=False)
+    code, out, error = inside("import", path, "-o", tmp_path / "made")
+    assert (code, error) == (0, "")
+    assert "IDs count them, their texts are NUMBER" in out
+    made = tn.read(tmp_path / "made")
+    assert made.layout.number.tolist() == names[::-1].tolist()
+    for one, other in zip(made, CAMPAIGN, strict=True):
+        np.testing.assert_allclose(one.force[:, ::-1], other.force, rtol=1e-12)
+    out = inside("calibrate", tmp_path / "made", "-o", tmp_path / "a.fits", "--exclude", "F03")[1]
+    known = tn.read_calibration(tmp_path / "a.fits")
+    assert np.isnan(known.alpha_of(["F03"]))
+    lowest = known.layout.shown[np.nanargmin(known.alpha)]
+    assert f"actuators {lowest}" in " ".join(out.split())
+    known.write(tmp_path / "a.csv")
+    assert "F14" in (tmp_path / "a.csv").read_text()
+    code, _, error = inside("calibrate", tmp_path / "made", "--exclude", "F3")
+    assert (code, "there is no actuator F3; IDs run from 1 (F14) to 14 (F01)" in error) == (2, True)
+
+
+def test_names_of_columns_are_shown_as_they_are_in_the_file(tmp_path, inside):
+    path = written(tmp_path, "csv", {DEFAULT: 'force = "Kraft{id}"'})
+    error = inside("import", path)[2]
+    assert "no column 'Kraft1'" in error
+    assert "the file has shape, sign, F1, F2" in error
+    (tmp_path / "bare-1.csv").write_text("shape,sign,Kraft1\n1,1,two\n")
+    text = path.read_text().replace('"Kraft{id}"', '"Kraft1"')
+    path.write_text(text.replace("# actuator = ", "actuator = ").replace('"actuator"', '"sign"'))
+    assert "column Kraft1 contains 'two'; give numbers in it" in inside("import", path)[2]

@@ -40,7 +40,10 @@ def test_arrays_make_a_campaign():
     ("loads", "words"),
     [
         ({RING: [{**LOADS[RING][0], "forces": 0}]}, "ring', cycle 1: 'forces' is unknown; choose"),
-        ({"ring": LOADS[RING]}, "loads has 'ring', which is no Load; give tn.Load"),
+        (
+            {"ring": LOADS[RING]},
+            r"names 'ring' without its added weight; give tn.Load\('ring', added, added_e",
+        ),
         ([RING], "loads is no dictionary; give {load: .cycle, "),
         ({RING: [(1, 2)]}, "a cycle of load 'ring' is <class 'tuple'>; give a dictionary"),
     ],
@@ -155,3 +158,23 @@ def test_what_is_wrong_with_a_table_is_said_in_one_line(change, words):
         tn.Campaign.from_dataframe(
             change(long_table()), "TEST", LAYOUT, *WEIGHTS, [BARE, RING], **NAMES
         )
+
+
+def test_a_table_of_positions_may_have_texts_as_ids_and_names_of_columns_their_unit():
+    names = np.array([f"{'AB'[int(i > 5)]}{i}" for i in LAYOUT.id])
+    places = pd.DataFrame({"id": names, "x [mm]": 1e3 * LAYOUT.x, "y [mm]": 1e3 * LAYOUT.y})
+    places["nz"] = LAYOUT.nz
+    table = long_table().assign(actuator=lambda t: names[t.actuator - 1])
+    table = table.rename(columns={"mode": "shape", "mN": "force [mN]"})
+    given = (table, "TEST", places, *WEIGHTS, [BARE, RING])
+    made = tn.Campaign.from_dataframe(*given, enabled=LAYOUT.enabled)
+    assert made.layout.same_as(LAYOUT)
+    assert made.layout.names.tolist() == names.tolist()
+    for one, other in zip(made, CAMPAIGN, strict=True):
+        np.testing.assert_allclose(one.force[np.argsort(one.time)], other.force, rtol=1e-14)
+    many = {"force": [f"F{i}" for i in LAYOUT.id]}
+    with pytest.raises(FormatError, match="'force' 14 names, F1, F2, F3 and 11 more; give one, or"):
+        tn.Campaign.from_dataframe(*given, columns=many)
+    with pytest.raises(FormatError, match=r"POSITIONS is not numbers .*'A1'"):
+        tn.Campaign.from_arrays("T", places.to_numpy()[:, :2], *WEIGHTS, LOADS,
+                                units={"positions": "mm"})  # fmt: skip

@@ -55,7 +55,7 @@ from truenewton.records.parts import Parts, has_parts
 from truenewton.records.reader import AnyPath, Measured, measured_from
 from truenewton.records.segmented import SegmentedData, segment_couplings
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import named, percent
+from truenewton.rounding import percent
 from truenewton.statics.layout import Layout
 
 Data = Measured
@@ -176,19 +176,19 @@ METHODS = {
 @overload
 def calibrate(
     data: Campaign | StiffnessMatrix, method: str | None = None, *, population: bool = False,
-    motion: Array | None = None, exclude: Collection[int] = (), client: Client | None = None,
+    motion: Array | None = None, exclude: Collection[int | str] = (), client: Client | None = None,
     processes: int | None = None,
 ) -> Calibration: ...  # fmt: skip
 @overload
 def calibrate(
     data: SegmentedData, method: str | None = None, *, population: bool = False,
-    motion: Seen | None = None, exclude: Collection[int] = (), client: Client | None = None,
+    motion: Seen | None = None, exclude: Collection[int | str] = (), client: Client | None = None,
     processes: int | None = None,
 ) -> Parts[Calibration]: ...  # fmt: skip
 @overload
 def calibrate(
     data: Data | AnyPath | Iterable[AnyPath | Cycle], method: str | None = None, *,
-    population: bool = False, motion: Seen | None = None, exclude: Collection[int] = (),
+    population: bool = False, motion: Seen | None = None, exclude: Collection[int | str] = (),
     client: Client | None = None, processes: int | None = None,
 ) -> AnyCalibration: ...  # fmt: skip
 def calibrate(
@@ -197,7 +197,7 @@ def calibrate(
     *,
     population: bool = False,
     motion: Seen | None = None,
-    exclude: Collection[int] = (),
+    exclude: Collection[int | str] = (),
     client: Client | None = None,
     processes: int | None = None,
 ) -> AnyCalibration:
@@ -250,8 +250,7 @@ def calibrate(
     """
     data = measured_from(data, client)
     method, options = resolve_method(data, method, population=population, motion=motion)
-    ids = sorted(set(exclude))
-    require_known(data.layout, ids)
+    ids = sorted(set(data.layout.ids_of(exclude)))
     if has_parts(data):
         one = partial(calibrate, method=method, population=population, client=client)
         of_all = _of_segments(data, one, motion, ids, 1 if client is not None else processes)
@@ -479,16 +478,6 @@ def _numbers_of(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "covariance": spread_covariance(reading + systematic, on),
         "systematic_covariance": spread_covariance(systematic, on),
     }
-
-
-def require_known(layout: Layout, ids: Collection[int]) -> None:
-    """Raise UnknownName for IDs that no actuator has."""
-    unknown = sorted(set(ids) - set(layout.id.tolist()))
-    if unknown:
-        raise UnknownName(
-            f"there is no {named('actuator', unknown, 5)} to exclude",
-            remedy=f"IDs run from {layout.id.min()} to {layout.id.max()}",
-        )
 
 
 def disabled(data: Campaign | StiffnessMatrix, ids: Sequence[int]) -> Campaign | StiffnessMatrix:

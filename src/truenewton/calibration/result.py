@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array, freeze
-from truenewton.errors import FormatError, UnknownName
+from truenewton.errors import FormatError
 from truenewton.estimation.findings.estimate import (
     EstimateFacts,
     Scale,
@@ -33,7 +33,7 @@ from truenewton.records.cycle import Source
 from truenewton.records.file import ID, INSTRUMENT, NUMBER, NZ, SOURCES, X, Y
 from truenewton.records.parts import Parts
 from truenewton.records.result import Result, verdict_of
-from truenewton.rounding import counted, named
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load, check_load
 
@@ -190,6 +190,10 @@ class Calibration(Result, EstimateFacts):
     def verdict(self) -> Verdict:
         """Whether the stated errors are valid, with all findings; from what a file contains."""
         verdict: Verdict = verdict_of(self)
+        if self.layout.has_texts:  # which messages add to the IDs
+            called = dict(zip(self.layout.id.tolist(), self.layout.shown.tolist(), strict=True))
+            findings = tuple(replace(each, called=called) for each in verdict.findings)
+            return replace(verdict, findings=findings)
         return verdict
 
     @property
@@ -236,8 +240,8 @@ class Calibration(Result, EstimateFacts):
         """Iterate over the IDs of the actuators."""
         return iter(self.layout.id.tolist())
 
-    def __getitem__(self, actuator: int) -> Row:
-        """Return the row of `table` of an actuator by its ID.
+    def __getitem__(self, actuator: int | str) -> Row:
+        """Return the row of `table` of an actuator by its ID, or by its text in NUMBER.
 
         Examples
         --------
@@ -247,7 +251,7 @@ class Calibration(Result, EstimateFacts):
         return self.table[self._places_of([actuator])][0]
 
     def alpha_of(self, ids: ArrayLike) -> Array:
-        """Return (k,) alpha of actuators by their (k,) IDs.
+        """Return (k,) alpha of actuators by their (k,) IDs, or texts in NUMBER.
 
         Raises
         ------
@@ -258,16 +262,9 @@ class Calibration(Result, EstimateFacts):
 
     def _places_of(self, ids: ArrayLike) -> NDArray[np.int64]:
         """Return (k,) indices of actuators by their (k,) IDs."""
-        wanted = np.asarray(ids)
-        order = np.argsort(self.layout.id)
-        at = order[np.searchsorted(self.layout.id, wanted, sorter=order).clip(max=len(self) - 1)]
-        missing = np.unique(wanted[self.layout.id[at] != wanted]).tolist()
-        if missing:
-            raise UnknownName(
-                f"{self.instrument} has no {named('actuator', missing, 8)}",
-                remedy="give IDs of `calibration.layout.id`",
-            )
-        return np.asarray(at)
+        wanted = self.layout.ids_of(np.atleast_1d(ids).tolist())
+        at = {actuator: k for k, actuator in enumerate(self.layout.id.tolist())}
+        return np.array([at[actuator] for actuator in wanted], dtype=np.int64)
 
     def to_true(self, commanded: ArrayLike) -> Array:
         """Return true forces, alpha times commanded: (..., n) [N], NaN of disabled actuators.

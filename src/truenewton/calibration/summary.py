@@ -214,7 +214,12 @@ def _results(c: Calibration) -> Iterator[Row]:
 def _details(c: Calibration) -> Iterator[Row]:
     """Yield the rows of what else was found, and of what limits alpha."""
     if c.layout.number is not None:
-        yield "numbering", "IDs are channels", "number on the mirror: NUMBER of the table"
+        how = (
+            f"IDs count positions: {c.layout.shown[0]}"
+            if c.layout.has_texts
+            else "IDs are channels"
+        )
+        yield "numbering", how, "designation on the mirror: NUMBER of the table"
     if budget := scale_budget(c.scale_errors):
         parts = (f"{what} {percent(part)}" for what, part in budget.items())
         yield "budget of the scale", ", ".join(parts), ""
@@ -252,10 +257,10 @@ def _details(c: Calibration) -> Iterator[Row]:
         yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"
 
 
-def _range_of_alpha(c: Calibration) -> tuple[str, NDArray[np.int64]]:
-    """Return the smallest and the largest alpha with their digits, and (2,) their IDs."""
+def _range_of_alpha(c: Calibration) -> tuple[str, NDArray[np.str_]]:
+    """Return the smallest and the largest alpha with their digits, and (2,) their names."""
     ends = [int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))]
-    return " .. ".join(map(to_digits, c.alpha[ends], c.error[ends])), c.layout.id[ends]
+    return " .. ".join(map(to_digits, c.alpha[ends], c.error[ends])), c.layout.shown[ends]
 
 
 def _of_parts(c: Parts[Calibration]) -> Iterator[Row]:
@@ -282,7 +287,7 @@ def _symmetry(c: Calibration) -> Iterator[Row]:
     if c.halves is not None and np.isfinite(c.halves).any():
         rms = float(np.sqrt(np.nanmean(c.halves**2)))
         far = np.argsort(-np.abs(np.nan_to_num(c.halves)))[:3]
-        names = ", ".join(f"{c.layout.id[k]} ({percent(float(c.halves[k]))})" for k in far)
+        names = ", ".join(f"{c.layout.shown[k]} ({percent(float(c.halves[k]))})" for k in far)
         yield "halves of the modes", f"alpha differs by {percent(rms)} rms", f"most at {names}"
 
 

@@ -141,7 +141,8 @@ def run_recalibrate(
     refuse_existing(output, overwrite=overwrite)
     with busy("recalibrating"), about(paths):
         data = read_chosen(*paths, segment=segment)
-        made = recalibrate(data, known, ids, reference=reference, accept_rejected=anyway)
+        new = data.layout.ids_of(ids)
+        made = recalibrate(data, known, new, reference=reference, accept_rejected=anyway)
         of_one = attrgetter("calibration")
         found = made.map(of_one) if has_parts(made) else of_one(made)
         calibration = usable(found, accept_rejected=anyway)

@@ -76,12 +76,12 @@ def paths(text: str, metavar: str = "PATH...") -> Any:
 PATHS = paths("Cycle files or their folder, a stiffness file, or a calibration.")
 
 
-def ids(text: str | None, option: str) -> list[int]:
-    """Return the IDs of a list with commas; none if the option was not given."""
-    try:
-        return [int(word) for word in text.split(",")] if text else []
-    except ValueError:
-        raise FormatError(f"{option} is '{text}'", remedy="give IDs, as 17,18") from None
+def ids(text: str | None, option: str) -> list[int | str]:
+    """Return the IDs, or texts, of a list with commas; none if the option was not given."""
+    words = [word.strip() for word in text.split(",")] if text else []
+    if not all(words):
+        raise FormatError(f"{option} is '{text}'", remedy="give IDs, as 17,18")
+    return [int(word) if word.isdecimal() else word for word in words]
 
 
 def require_suffix(output: Path | None, suffixes: tuple[str, ...], what: str) -> None:

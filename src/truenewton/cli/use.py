@@ -164,7 +164,8 @@ def run_modes(
     if output is not None:
         for number in data.layout.segments:
             refuse_existing(*modes_paths(output, number), overwrite=overwrite)
-    floating, follows = options.ids(off, "--off"), options.ids(slaved, "--slaved")
+    floating = data.layout.ids_of(options.ids(off, "--off"))
+    follows = data.layout.ids_of(options.ids(slaved, "--slaved"))
     written: list[Path] = []
     with busy("finding modes"), about(paths):
         motion, alpha = options.motion_of(mirror, data), None

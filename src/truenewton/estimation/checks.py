@@ -143,7 +143,7 @@ def constant_actuators(campaign: Campaign, moments: Moments, noise: Noise) -> tu
         remedy = "record the forces commanded for each shape, once the mirror has settled"
         refuse([Fault(fault, remedy)])
     if stuck.any():
-        ids = campaign.layout.id[campaign.layout.enabled][stuck].tolist()
+        ids = campaign.layout.shown[campaign.layout.enabled][stuck].tolist()
         fault = f"the reading of {named('actuator', ids, len(ids))} is stuck: it is the same for"
         refuse([Fault(f"{fault} all shapes", ENTRIES[Code.STUCK_READING].remedy)])
     if noise.source == NoiseSource.MINIMUM:

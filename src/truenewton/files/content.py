@@ -129,9 +129,10 @@ class FitsFile:
                 return (column.absent,) * rows
             return None if column.absent is None else np.full(rows, column.absent)
         values, has_unit = columns[column.name]
-        what, stored = f"column {column.name} of {table}", STORED[column.kind]
-        if values.dtype.kind not in stored.kinds:
-            self._refuse(f"{what} holds {values.dtype}", f"store {stored.words}")
+        what, words = f"column {column.name} of {table}", STORED[column.kind].words
+        if values.dtype.kind not in STORED[column.kind].kinds:
+            self._refuse(f"{what} holds {values.dtype}", f"store {words}")
+        stored = column.as_stored(values)
         width = self._extension(column.each, Table).rows if column.each else None
         if not isinstance(values, StoredRows):
             try:
@@ -162,7 +163,7 @@ class FitsFile:
     def _text(self, value: str, declared: Keyword | Column, what: str) -> Any:
         """Return a text, or the date in it; blank text counts as absent."""
         text = str(value).strip()
-        if declared.kind == "str":
+        if declared.kind != "date":
             return text if text or declared.absent is REQUIRED else declared.absent
         try:
             date = datetime.datetime.fromisoformat(text)

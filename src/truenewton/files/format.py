@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from astropy.table import QTable
 
 Attribute = str | Callable[[Any], Any]
-Kind = Literal["float", "int", "count", "bool", "str", "date"]
+Kind = Literal["float", "int", "count", "bool", "str", "date", "label"]
 REQUIRED: Any = ...  # instead of a value for something absent
 
 
@@ -38,6 +38,7 @@ STORED: dict[Kind, Stored] = {
     "bool": Stored("L", "b", np.bool_, (bool,), "a logical"),
     "str": Stored("A", "SU", np.str_, (str,), "text"),
     "date": Stored("A", "SU", np.str_, (str,), "text"),
+    "label": Stored("J", "iuSU", None, (int, str), "an integer or text"),
 }
 
 
@@ -65,6 +66,12 @@ class Column:
     each: str = ""  # for vectors: the table for each row of which they have a value
     width: int = 0  # of text; 0 for that of the longest
     finite: bool = False  # refuse NaN and inf on reading
+
+    def as_stored(self, values: Any) -> Stored:
+        """Return how the values are stored; labels are integers or texts."""
+        if self.kind != "label":
+            return STORED[self.kind]
+        return STORED["str" if np.asarray(values).dtype.kind in "SU" else "int"]
 
 
 @dataclass(frozen=True)
@@ -111,9 +118,9 @@ def columns_of(record: Any, table: TableFormat) -> Iterator[tuple[str, str, str 
     rows = value_of(record, table.of)
     for column in table.columns:
         values = value_of(rows, column.attribute)
-        form, _, dtype, _, _ = STORED[column.kind]
         if values is None:
             continue
+        form, _, dtype, _, _ = column.as_stored(values)
         if dtype is np.str_:
             dates = column.kind == "date"
             values = [iso(one) if dates else _ascii(one or "") for one in values]
@@ -134,8 +141,9 @@ def quantities(record: Any, table: TableFormat, *, without: tuple[str, ...] = ()
     made = QTable()
     for name, _, unit, values in columns_of(record, table):
         if name not in without:
-            made[name] = values if values.dtype.kind == "i" else u.Quantity(values, unit or "")
-            if values.dtype.kind == "f":
+            plain = isinstance(values, list) or values.dtype.kind == "i"
+            made[name] = values if plain else u.Quantity(values, unit or "")
+            if not plain:
                 made[name].info.format = ".5g"
     return made
 

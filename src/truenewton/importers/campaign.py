@@ -13,12 +13,24 @@ import numpy as np
 
 from truenewton.errors import FormatError, naming
 from truenewton.files.toml import filled, read_toml
-from truenewton.importers.selection import Surface, in_metres, read_positions, there_is
+from truenewton.importers.selection import (
+    Surface,
+    in_metres,
+    read_positions,
+    require_numbers,
+    there_is,
+)
 from truenewton.importers.stored import Item, Stored, read_stored
 from truenewton.quantities import in_unit
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
-from truenewton.records.tables import MATRICES, check_size, wide_rows
+from truenewton.records.tables import (
+    MATRICES,
+    check_size,
+    columns_by_id,
+    name_and_unit,
+    wide_rows,
+)
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
 from truenewton.statics.load import MIRROR_WEIGHT, Load
@@ -152,6 +164,8 @@ def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, tuple[str,
             at.notes if at.ids is not None else (*at.notes, "numbered from 1, as there is no ID")
         )
         made = layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled, segment=at.segment)
+        if made.has_texts:
+            notes = (*notes, "IDs count them, their texts are NUMBER")
         if made.segments:
             raise FormatError(
                 f"has actuators of {len(made.segments)} segments, which balance separately",
@@ -182,7 +196,7 @@ def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) ->
             item = _matrix_in(stored, wanted, actuators)
         else:
             item = _column_in(stored, wanted)
-        values[name] = item.values
+        values[name] = item.values if name == "actuator" else require_numbers(item, str(wanted))
         if unit := item.unit or getattr(described.units, name, ""):
             values[name] = in_unit(item.values, Cycle.QUANTITIES[name].unit, name, has=unit)
     if "valid" in values:
@@ -193,23 +207,29 @@ def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) ->
     return wide_rows(values, actuators) if columns.actuator else values
 
 
-def _named(stored: Stored) -> dict[str, Item]:
-    """Return columns and arrays by their names, also without the groups of HDF5, in lower case."""
+def _columns_in(stored: Stored) -> dict[str, Item]:
+    """Return columns and arrays by their names, also without the groups of HDF5 and the unit."""
     every = {**stored.arrays, **stored.columns}
-    short = {name.lower().rsplit("/", 1)[-1]: item for name, item in every.items()}
-    return {**short, **{name.lower(): item for name, item in every.items()}}
+    found: dict[str, Item] = {}
+    for name, item in every.items():
+        plain, unit = name_and_unit(name)
+        with_unit = Item(item.values, item.unit or unit)
+        found |= dict.fromkeys((plain, name.rsplit("/", 1)[-1]), with_unit)
+        found[name] = with_unit
+    return found
 
 
 def _column_in(stored: Stored, wanted: str | int) -> Item:
     """Return a column by its name or number."""
     if isinstance(wanted, int):
         return Item(_table(stored, wanted)[:, wanted - 1])
-    item = _named(stored).get(wanted.lower())
+    there = _columns_in(stored)
+    item = there.get(wanted) or {name.lower(): it for name, it in there.items()}.get(wanted.lower())
     if item is None:
         raise FormatError(
             f"there is no column '{wanted}'",
             remedy="name the columns of the file in the table [columns] of the description;"
-            f" the file has {listed(filter(None, _named(stored)), 12)}",
+            f" the file has {listed(filter(None, (*stored.arrays, *stored.columns)), 12)}",
         )
     return Item(np.squeeze(item.values), item.unit)
 
@@ -220,7 +240,10 @@ def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout) -> Item:
     if isinstance(wanted, int):
         return Item(_table(stored, wanted + n - 1)[:, wanted - 1 : wanted - 1 + n])
     if "{id}" in wanted:
-        items = [_column_in(stored, wanted.replace("{id}", str(i))) for i in actuators.id.tolist()]
+        names = columns_by_id(wanted, actuators, _columns_in(stored))
+        items = [_column_in(stored, name) for name in names]
+        for name, item in zip(names, items, strict=True):
+            require_numbers(item, name)
         return Item(np.stack([item.values for item in items], axis=1), items[0].unit)
     item = _column_in(stored, wanted)
     if item.values.ndim != 2 or item.values.shape[1] != n:

@@ -15,7 +15,6 @@ import scipy.sparse.csgraph
 from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array
-from truenewton.calibration.methods import require_known
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located, naming
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix.facts import MatrixFacts
@@ -38,9 +37,10 @@ from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_new
 from truenewton.importers.stored import read_stored
 from truenewton.quantities import taking_units
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.records.tables import numbers_of_labels
 from truenewton.rounding import listed, named, percent
 from truenewton.statics.arms import comparable_arms
-from truenewton.statics.layout import Layout, layout
+from truenewton.statics.layout import Layout, integers_or_texts, layout
 
 PathLike = str | os.PathLike[str]
 MIN_ORDER_SHARE = 0.2  # of the couplings, explained by distance
@@ -79,8 +79,8 @@ def stiffness_from(
     curvature: float | None = None,
     arc: bool = False,
     mirror: Any = None,
-    ids: PathLike | Sequence[int] | None = None,
-    exclude: Sequence[int] = (),
+    ids: PathLike | Sequence[int | str] | None = None,
+    exclude: Sequence[int | str] = (),
     dataset: str | None = None,
     shell: int | None = None,
     transpose: bool = False,
@@ -167,7 +167,7 @@ def _checked(
     positions: Positions,
     name: str,
     when: datetime.datetime,
-    exclude: Sequence[int],
+    exclude: Sequence[int | str],
     mirror: str | None,
 ) -> Checked:
     """Return an (n, n) matrix [N/m] with its positions, checked; lines on what was left out."""
@@ -185,8 +185,7 @@ def _checked(
     of = layout(
         positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
     )
-    require_known(of, exclude)
-    of = replace(of, enabled=of.enabled & ~np.isin(of.id, exclude))
+    of = replace(of, enabled=of.enabled & ~np.isin(of.id, of.ids_of(exclude)))
     record = StiffnessMatrix(name, when, of, k, mirror=mirror or None)
     judged = judge(record, MIN_ORDER_SHARE if mirror is None else MIN_EXPLAINED_COUPLING)
     record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))
@@ -254,24 +253,20 @@ def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int6
 
 
 def _names(
-    ids: PathLike | Sequence[int] | None, channels: NDArray[np.int64] | None
-) -> NDArray[np.int64] | None:
+    ids: PathLike | Sequence[int | str] | None, channels: NDArray[np.int64] | None
+) -> NDArray[Any] | None:
     """Return the IDs of the rows, or None."""
     if ids is None:
         return channels
     if isinstance(ids, str | os.PathLike):
         stored = read_stored(ids)
         every = [item.values for item in (*stored.arrays.values(), *stored.columns.values())]
-        values = every[0].ravel() if every else np.empty(0)
-    else:
-        values = np.asarray(ids, dtype=float)
-    if not values.size or not np.array_equal(values, np.round(values)):
-        raise FormatError("IDs are not integers", remedy="give an integer for each row")
-    return values.astype(np.int64)
+        return integers_or_texts(every[0].ravel() if every else [])
+    return integers_or_texts(ids)
 
 
 def _ways(
-    given: Given, rows: NDArray[np.int64] | None, names: NDArray[np.int64] | None
+    given: Given, rows: NDArray[np.int64] | None, names: NDArray[Any] | None
 ) -> Iterator[Positions]:
     """Yield the positions of the rows: as given, then in other possible orders."""
     if given.mirror is not None and given.positions is not None and names is not None:
@@ -282,8 +277,12 @@ def _ways(
     if given.by_ring is not None:
         yield _positions_of(given, given.by_ring, rows, names)
     if names is None and first.ids is not None:
-        order = np.argsort(first.ids, kind="stable")
-        ordered = first.ids[order]
+        texts = first.ids.dtype.kind == "U"
+        numbers = numbers_of_labels(first.ids) if texts else first.ids
+        if numbers is None:
+            return
+        order = np.argsort(numbers, kind="stable")
+        ordered = numbers[order]
         if ordered[0] in (0, 1) and np.array_equal(ordered, ordered[0] + np.arange(order.size)):
             yield replace(first.part(order), notes=(*first.notes, "put in the order of their IDs"))
 
@@ -292,7 +291,7 @@ def _by_number(
     given: Given,
     positions: Positions,
     rows: NDArray[np.int64] | None,
-    names: NDArray[np.int64],
+    names: NDArray[Any],
 ) -> Iterator[Positions]:
     """Yield the positions of a mirror for (m,) names that are its IDs, or channels from 0."""
     fits = 0
@@ -303,7 +302,7 @@ def _by_number(
             yield _positions_of(given, replace(positions, ids=ids, notes=notes), rows, names)
     if not fits:
         raise FormatError(
-            f"the mirror has {positions.x.size} actuators, and there is a row of {names.max()}",
+            f"the mirror has {positions.x.size} actuators, and there is a row of {max(names)}",
             remedy="give the mirror that it is",
         )
 
@@ -312,7 +311,7 @@ def _positions_of(
     given: Given,
     positions: Positions | None,
     rows: NDArray[np.int64] | None,
-    names: NDArray[np.int64] | None,
+    names: NDArray[Any] | None,
 ) -> Positions:
     """Return the positions of the rows of a matrix, or of those of one shell."""
     if positions is None:

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.estimation.matrix.order import refuse_no_stiffness
-from truenewton.importers.stored import LENGTHS, Item, Stored, read_stored
+from truenewton.importers.stored import NUMBER, Item, Stored, read_stored
+from truenewton.records.tables import ID_NAMES, LENGTHS, name_and_unit
+from truenewton.statics.layout import integers_or_texts
 
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
 POSITION_NAMES = ("coordinates", "coords", "act_coordinates", "act_coord", "positions", "xy")
-UNIT = re.compile(rf"(.*?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b({LENGTHS})[\])]?")
 POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
-ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
-            "channel", "ch")  # fmt: skip
 MAX_NAMED = 12  # arrays, columns or actuators in a line
 MAX_COORDINATE = 1e12  # in any unit: a larger one is not a position
 # Distance of the farthest actuator from the mean position, by unit.
@@ -42,7 +41,7 @@ class Positions:
     x, y, unit
         (n,) in a unit; '' if the file declares none.
     ids, nz, enabled, segment
-        (n,) or None; NZ is the cosine between force and +z.
+        (n,) or None; IDs are integers or texts, NZ is the cosine between force and +z.
     columns
         Names of all columns of numbers in the file, if they have names.
     notes
@@ -52,7 +51,7 @@ class Positions:
     x: Any
     y: Any
     unit: str = ""
-    ids: NDArray[np.int64] | None = None
+    ids: NDArray[Any] | None = None
     nz: Any = None
     enabled: NDArray[np.bool_] | None = None
     segment: NDArray[np.int64] | None = None
@@ -160,7 +159,7 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
     """Return positions from columns named X and Y, with ID, NZ and ENABLED if they exist."""
     known: dict[str, Item] = {}
     for name, item in columns.items():
-        plain, unit = _name_and_unit(name)
+        plain, unit = _axis_and_unit(name)
         known.setdefault(plain, Item(item.values, item.unit or unit))
     if "x" not in known or "y" not in known:
         if POLAR[0].intersection(known) and POLAR[1].intersection(known):
@@ -170,15 +169,18 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
             )
         return None
     x, y = known["x"], known["y"]
-    numbers = [known[n].values for n in ID_NAMES if n in known and _integers(known[n].values)]
+    named = [known[name].values for name in ID_NAMES if name in known]
+    ids = [each for each in named if each.dtype.kind == "U" or _integers(each)]
     nz, enabled, segment = (known.get(name) for name in ("nz", "enabled", "segment"))
+    for name in {"x", "y", "nz", "enabled", "segment"}.intersection(known):
+        require_numbers(known[name], name.upper())
     if y.unit != x.unit:
         raise FormatError(f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit")
     return Positions(
         x.values,
         y.values,
         x.unit,
-        numbers[0].astype(np.int64) if numbers else None,
+        integers_or_texts(ids[0]) if ids else None,
         None if nz is None else nz.values,
         None if enabled is None else enabled.values != 0,
         None if segment is None else segment.values.astype(np.int64),
@@ -186,16 +188,24 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
     )
 
 
-def _name_and_unit(name: str) -> tuple[str, str]:
-    """Return name and unit of a column, from names as 'x [mm]', 'x / mm', 'X_mm', 'pos_x'."""
-    text = name.strip().lower()
-    match = UNIT.fullmatch(text) or re.fullmatch(rf"(.*?)_({LENGTHS})", text)
-    plain, unit = (match[1], match[2]) if match and match[1] else (text, "")
+def _axis_and_unit(name: str) -> tuple[str, str]:
+    """Return axis, or name, and unit of a column, from names as 'x [mm]', 'X_mm', 'pos_x'."""
+    plain, unit = name_and_unit(name.lower())
+    if match := re.fullmatch(rf"(.+?)_({LENGTHS})", plain):
+        plain, unit = match.groups()
     for word in ("pos", "position", "coord", "coordinate", "act", "actuator"):
         for axis in "xy":
             if re.sub(r"[\s_]", "", plain) in (axis + word, word + axis):
                 return axis, unit
     return plain.strip(" _[]()"), unit
+
+
+def require_numbers(item: Item, name: str) -> NDArray[np.float64]:
+    """Return the numbers of a column; raise FormatError if it contains words."""
+    if item.values.dtype.kind == "U":
+        word = next(text for text in item.values.ravel().tolist() if not NUMBER.fullmatch(text))
+        raise FormatError(f"column {name} contains '{word}'", remedy="give numbers in it")
+    return item.values
 
 
 def _integers(values: Any) -> bool:
@@ -226,7 +236,7 @@ class Surface:
     unit
         Their unit, or '': as declared by the file, or the likeliest by their size.
     curvature
-        Radius of curvature R of the surface [m], or None: NZ is that of the file, or 1.
+        Radius of curvature R of the surface [m], or None or 0: NZ is that of the file, or 1.
     arc
         Whether radii are measured along the surface, R t, instead of from the axis, R sin t.
     """
@@ -238,7 +248,7 @@ class Surface:
 
 def in_metres(positions: Positions, surface: Surface) -> Positions:
     """Return positions in metres, on a curved surface with their directions."""
-    curvature, arc = surface.curvature, surface.arc
+    curvature, arc = surface.curvature or None, surface.arc  # R = 0 is that of a flat mirror
     x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
     if x.shape != y.shape:
         raise FormatError(

@@ -26,7 +26,7 @@ from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
 from truenewton.files.hdf5 import import_h5py, unit_of
 from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain, refuse_too_large
-from truenewton.records.tables import numbers_of_labels
+from truenewton.records.tables import LENGTHS
 from truenewton.rounding import counted
 
 COMMENT = "#;%!"
@@ -34,16 +34,15 @@ ECSV = "# %ECSV"
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
-LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
 UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
 LOGICAL = {"true": "1", "false": "0"}
 MAX_WORD_COLUMNS = 16  # a table with more columns is a matrix, without columns of words
 
 
 class Item(NamedTuple):
-    """Numbers, masked ones NaN, and the unit that their file declares, or ''."""
+    """Numbers, masked ones NaN, or texts; and the unit that their file declares, or ''."""
 
-    values: NDArray[np.float64]
+    values: NDArray[Any]
     unit: str = ""
 
 
@@ -51,8 +50,8 @@ class Item(NamedTuple):
 class Stored:
     """The numbers in a file.
 
-    ``arrays`` have one dimension or more, ``columns`` are those of tables; both by name, which is
-    '' if there is none. ``header`` contains the keywords of a FITS file.
+    ``arrays`` have one dimension or more, ``columns`` are those of tables, also of texts; both by
+    name, which is '' if there is none. ``header`` contains the keywords of a FITS file.
     """
 
     path: str
@@ -215,7 +214,7 @@ def text_of(path: str | os.PathLike[str]) -> str:
 
 
 def table_in(text: str) -> TextTable:
-    """Return a text as an array (rows, columns), and its named columns of numbers.
+    """Return a text as an array (rows, columns), and its named columns of numbers or texts.
 
     A type line determines the shape of the array. It is None if a column contains words.
     """
@@ -254,9 +253,13 @@ def table_in(text: str) -> TextTable:
         raise FormatError("contains a header and no numbers", remedy="give its rows")
     if len(_cells(data[0].text, between)) <= MAX_WORD_COLUMNS:
         return _narrow(data, between, names)
-    values = _wide(data, between)
-    named = dict(zip(names, values.T, strict=True)) if len(names) == values.shape[1] else {}
-    return _unlabelled(values, bool(names)), {name: each for name, each in named.items() if name}
+    columns = _wide(data, between, names)
+    numbers = [column for column in columns if column.dtype.kind == "f"]
+    if not numbers:
+        raise FormatError("contains no numbers", remedy="give a file with numbers")
+    named = dict(zip(names, columns, strict=True)) if len(names) == len(columns) else {}
+    values = _unlabelled(np.array(numbers).T, bool(names))
+    return values, {name: each for name, each in named.items() if name}
 
 
 class Between(NamedTuple):
@@ -308,22 +311,18 @@ def _typed(sizes: str, lines: list[str]) -> NDArray[Any]:
 def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
     rows = _alike(lines, between)
     words = list(zip(*rows, strict=True))
-    columns: list[NDArray[Any] | None] = []
+    columns: list[NDArray[Any]] = []
     for cells in words:
         sound = all(not cell or NUMBER.fullmatch(cell) for cell in cells)
-        columns.append(np.array([_float(cell) for cell in cells]) if sound else None)
-    if not any(column is not None for column in columns):
+        columns.append(np.array([_float(cell) for cell in cells] if sound else cells))
+    numbers = [column for column in columns if column.dtype.kind == "f"]
+    if not numbers:
         raise FormatError("contains no numbers", remedy="give a file with numbers")
     named = {}
     every = len(_cells(lines[0].text, between))  # an empty last column, too
     if len(names) == every or (len(names) >= len(columns) and not any(names[len(columns) :])):
-        labels = (
-            c if c is not None else numbers_of_labels(w)
-            for c, w in zip(columns, words, strict=True)
-        )
-        named = {n: c for n, c in zip(names, labels, strict=False) if n and c is not None}
-    numbers = [column for column in columns if column is not None]
-    labelled = columns[0] is None and len(numbers) == len(columns) - 1 == len(rows) > 2
+        named = {n: c for n, c in zip(names, columns, strict=False) if n}
+    labelled = columns[0].dtype.kind == "U" and len(numbers) == len(columns) - 1 == len(rows) > 2
     if len(numbers) < len(columns) and not labelled:
         return None, named
     return _unlabelled(np.array(numbers).T, bool(names)), named
@@ -344,25 +343,28 @@ def _alike(lines: list[Line], between: Between) -> list[list[str]]:
     return rows
 
 
-def _wide(lines: list[Line], between: Between) -> NDArray[Any]:
-    """Return rows of numbers, without names in the first column."""
+def _wide(lines: list[Line], between: Between, names: list[str]) -> list[NDArray[Any]]:
+    """Return columns of numbers, and of texts if they have names or are the first."""
     text = "\n".join(line.text for line in lines).replace('"', "")
     try:
-        return np.loadtxt(
+        values = np.loadtxt(
             io.StringIO(text.replace(",", ".") if between.comma else text),
             delimiter=between.delimiter, ndmin=2, comments=None,
         )  # fmt: skip
+        return list(values.T)
     except ValueError:
         rows = _alike(lines, between)
-    first = 0 if any(NUMBER.fullmatch(row[0]) for row in rows) else 1
-    for row, line in zip(rows, lines, strict=True):
-        for column, cell in enumerate(row[first:], first + 1):
-            if not NUMBER.fullmatch(cell):
-                raise FormatError(
-                    f"line {line.number}, column {column} is '{cell[:40]}'",
-                    remedy="give a number there; begin lines of words with #",
-                )
-    return np.array([[_float(cell) for cell in row[first:]] for row in rows])
+    columns: list[NDArray[Any]] = []
+    for number, cells in enumerate(zip(*rows, strict=True), 1):
+        wrong = [k for k, cell in enumerate(cells) if not NUMBER.fullmatch(cell)]
+        texts = len(wrong) == len(cells) and (number == 1 or len(names) == len(rows[0]))
+        if wrong and not texts:
+            raise FormatError(
+                f"line {lines[wrong[0]].number}, column {number} is '{cells[wrong[0]][:40]}'",
+                remedy="give a number there; begin lines of words with #",
+            )
+        columns.append(np.array(cells if texts else [_float(cell) for cell in cells]))
+    return columns
 
 
 def _float(cell: str) -> float:

@@ -297,7 +297,7 @@ class Cycle:
             wrong = ~(np.abs(some) <= largest)
             bad, of, remedy = some[wrong][0], "", "mark the row as not VALID, or correct it"
             if len(some) > 1:
-                of = f" for actuator {self.layout.id[counted][wrong][0]}"
+                of = f" for actuator {self.layout.shown[counted][wrong][0]}"
                 remedy += "; if it is so in all rows, set ENABLED of the actuator to F"
             if np.isfinite(bad):
                 remedy = f"{quantity.why}, or mark the row as not VALID"

@@ -36,7 +36,7 @@ NZ = Column("NZ", "layout.nz", absent=1.0)
 ENABLED = Column("ENABLED", "layout.enabled", kind="bool", absent=True)
 E_X, E_Y = (Column(f"E_{name}", f"layout.{name.lower()}_error", "m", absent=None) for name in "XY")
 SEGMENT = Column("SEGMENT", "layout.segment", kind="int", absent=None)
-NUMBER = Column("NUMBER", "layout.number", kind="int", absent=None)
+NUMBER = Column("NUMBER", "layout.number", kind="label", absent=None)
 ACTUATORS = TableFormat("ACTUATORS", (ID, X, Y, NZ, ENABLED, E_X, E_Y, SEGMENT, NUMBER))
 
 MEASUREMENTS = TableFormat(

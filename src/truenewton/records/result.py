@@ -24,7 +24,7 @@ from truenewton.files.format import (
     iso,
     value_of,
 )
-from truenewton.records.file import ENABLED, ID, NZ, X, Y
+from truenewton.records.file import ENABLED, ID, NUMBER, NZ, X, Y
 from truenewton.rounding import html_table, row, wrapped
 
 Part = TypeVar("Part")
@@ -150,13 +150,13 @@ class ResultKind(Generic[Part]):
     @cached_property
     def actuators(self) -> TableFormat:
         """The table of all actuators, without columns that a part may lack."""
-        places = (ID, X, Y, NZ)
+        places = (ID, X, Y, NZ, NUMBER)
         own = [
             Column(column.name, methodcaller("column", column.attribute), column.unit)
             for column in self.form.extensions[0].columns  # type: ignore[union-attr]
             if column not in places and column.absent is not None
         ]
-        return TableFormat(self.name, (ID, X, Y, SEGMENT, *own, NZ, ENABLED))
+        return TableFormat(self.name, (ID, X, Y, SEGMENT, *own, NUMBER, NZ, ENABLED))
 
     @cached_property
     def whole(self) -> FileFormat:

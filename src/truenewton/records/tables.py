@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,15 +14,22 @@ from numpy.typing import NDArray
 from truenewton.errors import FormatError, GeometryError, naming
 from truenewton.quantities import in_unit
 from truenewton.records.cycle import ARRAYS, Cycle
-from truenewton.rounding import listed
-from truenewton.statics.layout import Layout, layout
+from truenewton.rounding import counted, listed
+from truenewton.statics.layout import Layout, integers_or_texts, layout
 from truenewton.statics.load import GRAVITY, Load
 
 REQUIRED = ("force", "shape", "sign")
 OF_CYCLE = (*ARRAYS, "date", "number")
 OF_TABLE = ("load", "cycle", "actuator", "row", *ARRAYS)
 MATRICES = ("force", "position")  # with a value for each actuator
+ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
+            "channel", "ch")  # fmt: skip
+LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
+UNIT = re.compile(
+    rf"(.+?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b((?i:{LENGTHS})|[kmun]?N|m?s|K|deg_C)[\])]?"
+)
 LABEL = re.compile(r"([^\W\d]*)[ _-]?(\d+)")  # a number with a word before it, as F17
+MAX_DIGITS = 4  # of an ID with zeros before it, as F0017
 # Thickness of a disc of glass as large and heavy as the mirror, magnets included: 3 to 3.5 mm for
 # P45, MMT336, LBT672 and MAG585. A length that is wrong by a factor of 10 changes it by 100.
 GLASS_DENSITY = 2530.0  # [kg/m3]
@@ -30,9 +37,21 @@ LIKELY_THICKNESS, POSSIBLE_THICKNESS = (3e-4, 0.03), (3e-6, 3.0)  # [m]
 
 
 def layout_of(positions: Any, enabled: Any = None, unit: str | None = None) -> Layout:
-    """Return a layout, or that of a pair of (n,) x and y, or of (n, 2) positions [m]."""
+    """Return a layout, or that of (n,) x and y, of (n, 2) positions [m], or of columns x, y, id."""
     if isinstance(positions, Layout):
         return positions if enabled is None else replace(positions, enabled=enabled)
+    every = {name.casefold(): (of, own) for name, (of, own) in columns_in(positions).items()}
+    if "x" in every and "y" in every:
+        named = ("nz", "enabled", "segment", *ID_NAMES)
+        found = {name: positions[every[name][0]] for name in named if name in every}
+        ids = next((found.pop(name) for name in ID_NAMES if name in found), None)
+        x, y = (
+            in_unit(positions[of], "m", f"positions, column {of}", has=unit or own or None)
+            for of, own in (every["x"], every["y"])
+        )
+        others = {name: found[name] for name in ("nz", "enabled", "segment") if name in found}
+        others |= {} if enabled is None else {"enabled": enabled}
+        return layout(x, y, id=ids, **others)
     if len(positions) != 2:
         positions, unit = np.asarray(in_unit(positions, "m", "positions", has=unit)), None
         if positions.shape[1:] != (2,):
@@ -55,6 +74,39 @@ def check_size(actuators: Layout, weight: float) -> str:
     if not POSSIBLE_THICKNESS[0] < glass < POSSIBLE_THICKNESS[1]:
         raise GeometryError(fault, remedy=remedy)
     return f"{fault}: {remedy}"
+
+
+def columns_in(table: Any) -> dict[str, tuple[str, str]]:
+    """Return the columns of a table or dictionary, by name also without the unit in the name.
+
+    Each is the name in the table, and the unit in it or ''. There are none in other data.
+    """
+    every = getattr(table, "columns", table if isinstance(table, Mapping) else ())
+    names = [name for name in every if isinstance(name, str)]
+    short = {plain: (name, unit) for name in names for plain, unit in [name_and_unit(name)]}
+    return short | {name: (name, name_and_unit(name)[1]) for name in names}
+
+
+def name_and_unit(name: str) -> tuple[str, str]:
+    """Return name and unit of a column, from names as 'force [mN]', 'x / mm', 'x (mm)', 'x mm'."""
+    match = UNIT.fullmatch(name.strip())
+    if not match:
+        return name.strip(), ""
+    lower = match[2].lower()
+    return match[1], lower if lower in LENGTHS.split("|") else match[2]
+
+
+def columns_by_id(template: str, actuators: Layout, there: Collection[str]) -> list[str]:
+    """Return the column of each actuator, named by a template as 'F{id}' with its ID or text.
+
+    Numbers may have zeros before them, and a text may begin with the word of the template.
+    """
+    names = actuators.names.tolist()
+    ways = [
+        [template.replace("{id}", name.zfill(digits)) for name in names]
+        for digits in range(1, MAX_DIGITS + 1)
+    ]
+    return next((way for way in (*ways, names) if all(name in there for name in way)), ways[0])
 
 
 def numbers_of_labels(labels: Iterable[object]) -> NDArray[np.int64] | None:
@@ -97,14 +149,17 @@ def require_loads(loads: Iterable[object]) -> None:
     """Raise FormatError for anything but a load."""
     for load in loads:
         if not isinstance(load, Load):
-            remedy = "give tn.Load(name, added, added_error)"
-            raise FormatError(f"loads has {load!r}, which is no Load", remedy=remedy)
+            weight = "" if load == "bare" else ", added, added_error"
+            raise FormatError(
+                f"loads names {load!r} without its added weight",
+                remedy=f"give tn.Load({str(load)!r}{weight}) instead of the name",
+            )
 
 
 def _in_si(arrays: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
     """Return arrays of a cycle in the units of `Cycle`, if they have another unit."""
     return {
-        name: in_unit(values, Cycle.QUANTITIES[name].unit, name, has=units.get(name))
+        name: in_unit(values, Cycle.QUANTITIES[name].unit, name, has=units.get(name) or None)
         if name in ARRAYS
         else values
         for name, values in arrays.items()
@@ -145,18 +200,23 @@ def cycles_in_table(
     units: Mapping[str, str],
 ) -> dict[Load, list[dict[str, Any]]]:
     """Return the arrays of each cycle of each load in a table with one row for each reading."""
-    there = list(getattr(table, "columns", table))
+    there = columns_in(table)
     _require_names(columns, (), OF_TABLE)
     require_loads(loads)
-    known = {name: columns.get(name, name) for name in OF_TABLE}
+    known: dict[str, Any] = {name: columns.get(name, name) for name in OF_TABLE}
+    for name, of in known.items():
+        if not isinstance(of, str):
+            fault = f"columns gives '{name}' {counted(of, 'name')}, {listed(of, 3)}"
+            remedy = "give one, or 'F{id}' if each actuator has a column of its own"
+            raise FormatError(fault, remedy=remedy)
     required = ["load", *REQUIRED]
     wide = [name for name in MATRICES if "{id}" in known[name]]  # a column for each actuator
     required += wide or ["actuator"]
     named = {name: [of] for name, of in known.items()}
-    named |= {name: [known[name].format(id=k) for k in actuators.id] for name in wide}
+    named |= {name: columns_by_id(known[name], actuators, there) for name in wide}
     missing = [part for name in required for part in named[name] if part not in there]
     if missing:
-        remedy = f"name it by columns={{...}}; there is {listed(there, 12)}"
+        remedy = f"name it by columns={{...}}; there is {listed(getattr(table, 'columns', table))}"
         if not wide:
             remedy += "; for one column of each actuator, columns={'force': 'F{id}'}"
         raise FormatError(f"the table has no column '{missing[0]}'", remedy=remedy)
@@ -164,7 +224,10 @@ def cycles_in_table(
     _require_names(units, (), ("positions", *(name for name in ARRAYS if name in used)))
     values = {}
     for name, parts in used.items():
-        own = [np.asarray(_in_si({name: table[part]}, units)[name]) for part in parts]
+        own = [
+            np.asarray(_in_si({name: table[of]}, {name: unit, **units})[name])
+            for of, unit in map(there.__getitem__, parts)
+        ]
         values[name] = np.stack(own, axis=-1) if name in wide else own[0]
     of_load = np.array([str(name).strip().casefold() for name in values["load"]])
     if unknown := sorted(set(of_load) - {load.key for load in loads}):
@@ -197,15 +260,18 @@ def wide_rows(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str
 
     Rows are in the order of their first readings.
     """
-    at = {name: k for k, name in enumerate(actuators.id.tolist())}
-    ids = values["actuator"]
-    ids = (ids if ids.dtype.kind in "fiu" or (n := numbers_of_labels(ids)) is None else n).tolist()
-    if unknown := sorted(set(ids) - set(at)):
+    at = {name: k for k, name in enumerate(actuators.names.tolist())}
+    ids = integers_or_texts(values["actuator"])
+    if not set(at) >= set(ids.astype(np.str_).tolist()) and ids.dtype.kind == "U":
+        numbers = numbers_of_labels(ids.tolist())  # F17 of an actuator that is 17 in the layout
+        ids = ids if numbers is None else numbers
+    texts = ids.astype(np.str_).tolist()
+    if unknown := [text for text in dict.fromkeys(texts) if text not in at]:
         raise FormatError(
             f"there is no actuator {listed(unknown, 3)}",
-            remedy=f"give IDs of the layout, {listed(actuators.id, 3)}, in the column of actuators",
+            remedy=f"give IDs of the positions, {listed(at, 3)}, in the column of actuators",
         )
-    column = np.array([at[name] for name in ids])
+    column = np.array([at[text] for text in texts])
     keys = [name for name in ("shape", "sign", "row") if name in values]
     row, first = _numbered(values, keys)
     if _twice(row, column, actuators.n) is not None and "time" in values:

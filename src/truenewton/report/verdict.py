@@ -67,7 +67,7 @@ def headline_of(findings: Reported) -> Headline:
     on, known = c.layout.enabled, "Relative alpha" if c.scale == Scale.MEAN_ONE else "Alpha"
     which = f"all {counted(on.size, 'actuator')} of {c.instrument}"
     if not on.all():
-        disabled = named("actuator", c.layout.id[~on].tolist(), 8)
+        disabled = named("actuator", c.layout.shown[~on].tolist(), 8)
         which = f"{on.sum()} of the {which.removeprefix('all ')} ({disabled} disabled)"
     sentence = f"{known} of {which} is known, typically to {percent(typical(c.error, c.alpha))}."
     for note in c.verdict.notes:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -11,14 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array, freeze
-from truenewton.errors import GeometryError
+from truenewton.errors import GeometryError, UnknownName
 from truenewton.quantities import Quantity, convert_quantities, taking_units
+from truenewton.rounding import listed, named
 
 MAX_DISTANCE = 10.0  # of an actuator from the axis [m]; beyond it the unit is wrong
 MAX_ACTUATORS = 20000
 PLACE = ("x", "y", "nz")
-INTEGERS = dict.fromkeys(("id", "segment", "number"), np.int64)
-DTYPES: dict[str, Any] = {**INTEGERS, "enabled": np.bool_}
+INTEGERS = dict.fromkeys(("id", "segment"), np.int64)
+DTYPES: dict[str, Any] = {**INTEGERS, "enabled": np.bool_, "number": None}
+INTEGER = re.compile(r"[-+]?\d{1,18}")
 POSITION_TOLERANCE = 1e-6  # [m], and of NZ: the precision of four bytes, or of short tables
 
 
@@ -41,7 +44,8 @@ class Layout:
     segment
         (n,) number of the segment of each actuator, from 1; None for a mirror in one piece.
     number
-        (n,) number on the mirror if ``id`` is the channel of the electronics, otherwise None.
+        (n,) the mirror's own designation of each actuator: its number, if ``id`` is the channel of
+        the electronics, or a text, as 'B3'; None if it is ``id``.
 
     Raises
     ------
@@ -71,10 +75,12 @@ class Layout:
     x_error: Array | None = None
     y_error: Array | None = None
     segment: NDArray[np.int64] | None = None
-    number: NDArray[np.int64] | None = None
+    number: NDArray[Any] | None = None
 
     def __post_init__(self) -> None:
         convert_quantities(self)
+        if self.number is not None:
+            object.__setattr__(self, "number", integers_or_texts(self.number))
         given = [field.name for field in fields(self) if getattr(self, field.name) is not None]
         for name in given:
             freeze(self, name, dtype=DTYPES.get(name, np.float64))
@@ -116,7 +122,7 @@ class Layout:
         ]  # fmt: skip
         for bad, fault, remedy in checks:
             if bad.any():
-                raise GeometryError(fault.format(self.id[bad][0]), remedy=remedy)
+                raise GeometryError(fault.format(self.shown[bad][0]), remedy=remedy)
         if self.segment is not None and (self.segment < 1).any():
             raise GeometryError(f"SEGMENT is {self.segment.min()}", remedy="segments count from 1")
 
@@ -133,7 +139,7 @@ class Layout:
         if (count > 1).any():
             which = int(np.argmax(count > 1))
             x, y = places[:, which] * 1e-9
-            one, other = self.id[np.ravel(first) == which][:2]
+            one, other = self.shown[np.ravel(first) == which][:2]
             raise GeometryError(
                 f"two actuators are at x = {x:.6g} m, y = {y:.6g} m: {one} and {other}",
                 remedy="correct their positions",
@@ -148,6 +154,39 @@ class Layout:
     def n(self) -> int:
         """Number of actuators, disabled ones included."""
         return int(np.size(self.id))
+
+    @property
+    def has_texts(self) -> bool:
+        """Whether ``number`` contains texts."""
+        return self.number is not None and self.number.dtype.kind == "U"
+
+    @cached_property
+    def names(self) -> NDArray[np.str_]:
+        """(n,) the names that the user gave to the actuators: texts in ``number``, or ``id``."""
+        return np.asarray(self.number if self.has_texts else self.id.astype(np.str_))
+
+    @cached_property
+    def shown(self) -> NDArray[np.str_]:
+        """(n,) IDs as messages name actuators: '17', or '17 (B3)' if ``number`` is text."""
+        pairs = zip(self.id.astype(np.str_).tolist(), self.names.tolist(), strict=True)
+        return np.array([id if id == name else f"{id} ({name})" for id, name in pairs])
+
+    def ids_of(self, names: Collection[int | str]) -> list[int]:
+        """Return the IDs of actuators that are named by ID, or by the text in ``number``.
+
+        Raises
+        ------
+        UnknownName
+            There is no such actuator.
+        """
+        ids = self.id.tolist()
+        at: dict[int | str, int] = dict(zip((*ids, *self.names.tolist()), 2 * ids, strict=True))
+        if unknown := [name for name in dict.fromkeys(names) if name not in at]:
+            raise UnknownName(
+                f"there is no {named('actuator', unknown, 5)}",
+                remedy=f"IDs run from {self.shown[0]} to {self.shown[-1]}",
+            )
+        return [at[name] for name in names]
 
     @property
     def segments(self) -> tuple[int, ...]:
@@ -178,7 +217,10 @@ class Layout:
         Order and places to `POSITION_TOLERANCE` are compared, not which are enabled.
         """
         if self.n != other.n:
-            return f"{other.n} and {self.n} actuators"
+            more, less = (self, other) if self.n > other.n else (other, self)
+            lost = more.shown[~np.isin(more.names, less.names)]
+            only = f"; only one has {listed(lost, 8)}" if lost.size else ""
+            return f"{other.n} and {self.n} actuators{only}"
         farther = max(
             "xy", key=lambda name: np.abs(getattr(self, name) - getattr(other, name)).max()
         )
@@ -201,8 +243,28 @@ class Layout:
             values = " and ".join("FT"[int(each[k])] for each in (one, two))
         else:
             values = f"{one[k]:.7g} and {two[k]:.7g}"
-        which = f"row {k + 1}" if name == "id" else f"actuator {self.id[k]} (row {k + 1})"
+        which = f"row {k + 1}" if name == "id" else f"actuator {self.shown[k]} (row {k + 1})"
         return f"{name.upper()} of {which}: {values}{more}"
+
+
+def integers_or_texts(given: Any) -> NDArray[Any]:
+    """Return (n,) IDs as integers if all are, otherwise as texts.
+
+    Raises
+    ------
+    GeometryError
+        One is missing, or a number that is no integer.
+    """
+    values = np.asarray(given).tolist()
+    values = values if isinstance(values, list) else [values]
+    texts = [f"{one:.15g}" if isinstance(one, float) else str(one).strip() for one in values]
+    if all(map(INTEGER.fullmatch, texts)):
+        return np.array(texts, dtype=np.int64)
+    for row, (one, text) in enumerate(zip(values, texts, strict=True), 1):
+        if not isinstance(one, str | int | bytes) or not text:
+            fault = f"the ID in row {row} is {text or 'empty'}"
+            raise GeometryError(fault, remedy="give an integer or a text for each actuator")
+    return np.array(texts, dtype=np.str_)
 
 
 @taking_units(x="m", y="m")
@@ -225,15 +287,28 @@ def layout(
     x, y
         (n,) positions: numbers [m], or Quantities of any length.
     id, nz, enabled, x_error, y_error, segment, number
-        (n,) each, see `Layout`, which also lists what is refused.
+        (n,) each, see `Layout`, which also lists what is refused. If IDs are texts, as F01 or B3,
+        they become ``number``, and ``id`` counts the actuators from 1.
 
     Examples
     --------
     >>> import astropy.units as u
     >>> tn.layout([0, 100, -100] * u.mm, [100, 0, 0] * u.mm, id=[7, 8, 9]).x
     array([ 0. ,  0.1, -0.1])
+    >>> tn.layout([0.0, 0.1, -0.1], [0.1, 0.0, 0.0], id=["A1", "B1", "B2"]).shown.tolist()
+    ['1 (A1)', '2 (B1)', '3 (B2)']
     """
     n = np.size(x)
+    if id is not None and (ids := integers_or_texts(id)).dtype.kind == "U":
+        if number is not None:
+            raise GeometryError("IDs are texts, and NUMBER is given", remedy="give one of them")
+        names, count = np.unique(ids, return_counts=True)
+        if (count > 1).any():
+            raise GeometryError(
+                f"actuator ID {names[count > 1][0]} occurs {count.max()} times",
+                remedy="give every actuator its own ID",
+            )
+        id, number = None, ids
     columns: dict[str, Any] = {
         "id": np.arange(1, n + 1) if id is None else id,
         "nz": np.ones(n) if nz is None else nz,

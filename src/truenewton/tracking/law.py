@@ -27,7 +27,7 @@ from truenewton.files.format import (
 )
 from truenewton.quantities import taking_units
 from truenewton.reading import select_segment
-from truenewton.records.file import ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.file import ID, INSTRUMENT, NUMBER, NZ, X, Y
 from truenewton.records.parts import body_or_parts_from
 from truenewton.records.result import KINDS, Result, ResultKind
 from truenewton.statics.layout import Layout
@@ -290,6 +290,7 @@ ACTUATORS = TableFormat(
         ID,
         X,
         Y,
+        NUMBER,
         NZ,
         Column("ALPHA", "alpha"),
         Column("E_ALPHA", lambda t: t.errors[0]),

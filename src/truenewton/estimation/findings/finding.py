@@ -73,6 +73,8 @@ class Finding:
         Its level, if not that of the catalogue.
     remedy
         What to do about it; by default that of the catalogue.
+    called
+        What messages call actuators, by ID, if they have a text besides (`Layout.shown`).
 
     Examples
     --------
@@ -93,6 +95,7 @@ class Finding:
     corrected: bool = False
     graded: Level | None = None
     remedy: str = ""
+    called: Mapping[int, str] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if not self.remedy:
@@ -118,7 +121,8 @@ class Finding:
         return ENTRIES[self.code]
 
     def _filled(self, text: str) -> str:
-        known: dict[str, Any] = {"actuators": self.actuators, "detail": self.detail, **self.values}
+        actuators = [self.called.get(i, i) for i in self.actuators]
+        known: dict[str, Any] = {"actuators": actuators, "detail": self.detail, **self.values}
         if self.cause is not None:
             known |= {"cause": self.cause.fault, "advice": self.cause.remedy}
         return Words().vformat(text, (), known).rstrip("; ")
@@ -202,7 +206,8 @@ def about_actuators(
     """
     enabled = layout.id[layout.enabled]
     ids = enabled[which].tolist()
-    names = named("actuator", ids, MAX_NAMED_ACTUATORS) if ids else ""
+    shown = layout.shown[layout.enabled][which].tolist()
+    names = named("actuator", shown, MAX_NAMED_ACTUATORS) if ids else ""
     if many and len(ids) > MAX_NAMED_ACTUATORS:
         names = f"{len(ids)} of {len(enabled)} {many}"
     where = where.replace("{}", names)

@@ -263,7 +263,7 @@ def _effects(
         yield Finding(
             code=Code.ACTUATOR_MISFIT,
             detail=f"{reason}, up to {far:.2g} m off" if elsewhere else reason,
-            where=named("actuator", names),
+            where=named("actuator", layout.shown[np.isin(layout.id, names)].tolist()),
             actuators=tuple(names),
             size=far,
             corrected=True,

@@ -272,7 +272,7 @@ def describe_pattern(pattern: Array, layout: Layout) -> str:
     on = layout.enabled
     square = pattern**2 / np.sum(pattern**2)
     if square.max() > 0.5:
-        return f"actuator {layout.id[on][square.argmax()]}"
+        return f"actuator {layout.shown[on][square.argmax()]}"
     radius = np.hypot(layout.x[on], layout.y[on]).max()
     x, y = layout.x[on] / radius, layout.y[on] / radius
     rest, size = pattern / np.sqrt(np.sum(pattern**2)), 1.0

@@ -290,7 +290,7 @@ def worst_residuals(findings: Findings) -> Iterator[tuple[str, str, str]]:
     """Yield what is farthest from balance: rows or modes, and actuators."""
     if findings.evidence is None or findings.calibration is None:
         return
-    residuals, ids = findings.evidence.residuals, findings.calibration.layout.id
+    residuals, ids = findings.evidence.residuals, findings.calibration.layout.shown
     if isinstance(residuals, ModeResiduals):
         worst = np.argsort(-residuals.after)[:WORST]
         yield ("modes least in balance",
@@ -314,7 +314,7 @@ def what_to_look_at(
     c: AnyCalibration, layers: Sequence[Layer], worst: Iterable[tuple[str, str, str]]
 ) -> Section | None:
     """Return the worst residuals, and actuators that are disabled, in findings, or outliers."""
-    ids, rows = c.layout.id, list(worst)
+    ids, rows = c.layout.shown, list(worst)
     if not c.layout.enabled.all():
         disabled = ", ".join(map(str, ids[~c.layout.enabled]))
         rows.append(("disabled actuators", disabled, "They have no alpha."))

@@ -75,6 +75,7 @@ def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSour
     """Return the data that all views share: positions, values and texts of every layer."""
     columns: dict[str, Any] = {
         "id": layout.id.astype(np.int32),
+        "called": layout.shown.tolist(),
         group_name(layout): _shown_groups(layout),
         "x": layout.x / MILLIMETRE,
         "y": layout.y / MILLIMETRE,
@@ -256,7 +257,7 @@ def _empty_plot(**size: Any) -> Plot:
 def _add_actuator_tools(plot: Plot, dots: Any, layout: Layout, layers: tuple[Layer, ...]) -> None:
     """Add tooltips, and tools that select actuators in all views."""
     group = group_name(layout)
-    tooltips = [("actuator", "@id"), (group, f"@{group}"), ("x, y", "@x{0.0}, @y{0.0} mm")]
+    tooltips = [("actuator", "@called"), (group, f"@{group}"), ("x, y", "@x{0.0}, @y{0.0} mm")]
     tooltips += [(layer.name, f"@{layer.key}_text {layer.unit}".rstrip()) for layer in layers]
     plot.add_tools(
         HoverTool(renderers=[dots], tooltips=tooltips, visible=False),

@@ -64,7 +64,7 @@
   };
   const describe = (k) => {
     const table = document.createElement("table");
-    const lines = [["actuator", ids[k]], [group, data(group)[k]],
+    const lines = [["actuator", data("called")[k]], [group, data(group)[k]],
       ["x, y", `${data("x")[k].toFixed(1)}, ${data("y")[k].toFixed(1)} mm`],
       ...layers.map((layer) => [layer.name, `${data(`${layer.key}_text`)[k]} ${layer.unit}`])];
     for (const [name, value] of lines) {
@@ -115,7 +115,7 @@
   };
   const row = (k, marked) => {
     const line = document.createElement("tr");
-    const texts = [ids[k], data(group)[k], data("x")[k].toFixed(1), data("y")[k].toFixed(1),
+    const texts = [data("called")[k], data(group)[k], data("x")[k].toFixed(1), data("y")[k].toFixed(1),
       ...layers.map((layer) => data(`${layer.key}_text`)[k])];
     texts.forEach((text, j) => line.append(cell(j ? "td" : "th", text)));
     line.firstChild.scope = "row";
