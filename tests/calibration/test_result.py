@@ -31,7 +31,7 @@ def test_an_actuator_is_a_row_of_the_table_by_its_id(p45_calibration):
     assert 17 in c
     assert 46 not in c
     assert list(c) == c.layout.id.tolist()
-    with pytest.raises(UnknownName, match="P45 has no actuator 46"):
+    with pytest.raises(UnknownName, match="there is no actuator 46; IDs run"):
         c[46]
 
 

@@ -88,8 +88,8 @@ class Campaign:
         instrument
             Name of the mirror.
         positions, enabled
-            A layout, a pair of (n,) x and y, or (n, 2) positions [m]; (n,) false for actuators
-            that give no force.
+            A layout, a table with columns x, y and, if there are, id, nz and enabled, a pair of
+            (n,) x and y, or (n, 2) positions [m]; (n,) false for actuators that give no force.
         weight, weight_error
             Weight of the mirror and its standard uncertainty.
         loads
@@ -162,15 +162,17 @@ class Campaign:
         table
             A DataFrame of pandas or polars, a table of astropy, or a dictionary of columns:
             ``load`` (its name), ``cycle`` (1 by default), ``shape``, ``sign``, ``actuator`` (its
-            ID, also as F17), ``force``; optional ``time``, ``valid``, ``temperature``,
-            ``position``, and ``row``, the number of the reading if a shape is repeated in a cycle.
+            ID or text), ``force``, with a unit also as ``force [mN]``; optional
+            ``time``, ``valid``, ``temperature``, ``position``, and ``row``, the number of the
+            reading if a shape is repeated in a cycle.
         instrument, positions, weight, weight_error, enabled, date, more
             As of `from_arrays`.
         loads
             All loads of the table.
         columns, units
             Names of these columns in the table, if they differ, and units: ``{"force": "mN"}``.
-            ``{"force": "F{id}"}`` if each actuator has a column of its own: F1, F2, ...
+            ``{"force": "F{id}"}`` if each actuator has a column of its own: F1, F2, ...; ``{id}``
+            is the text if IDs are texts.
 
         Raises
         ------
