@@ -207,7 +207,7 @@ def _outputs() -> dict[str, list[Schema]]:
         "modes-segments": [_object(_segments(modes, "fault"))],
         "plan": [_object(planned)],
         "acquire": [_object({**acquired, "invalid": found})],
-        "import": [_object({**imported, "calibration": _or_null(_object(calibrated))})],
+        "import": [_object(imported)],
         "report": [_object(lines)],
         "figures": [_object({"verdict": TEXT, "written": _list(TEXT)})],
         "prove": [_object(proven)],

@@ -21,7 +21,6 @@ from truenewton.rounding import listed
 
 if TYPE_CHECKING:
     from truenewton.acquisition.taker import Progress
-    from truenewton.calibration.result import Calibration
     from truenewton.importers.importing import Imported
     from truenewton.statics.load import Load
 
@@ -300,27 +299,21 @@ def _suggesting_mirror() -> Iterator[None]:
 def _print_matrix(
     made: Imported, output: Path | None, *, transpose: bool, json: bool, quiet: bool
 ) -> None:
-    """Print what was found of a matrix, a first answer unless quiet, and the next command."""
-    from truenewton.calibration.summary import summary_values
-    from truenewton.estimation.findings.code import Level
-
-    if quiet and not json:
-        print_result((), output, quiet=True)
-        return
-    answer, calibration = _first_answer(made)
-    lines = [*made.lines, *answer]
-    then = ""
+    """Print what was found of a matrix, and the next command: `calibrate` judges it."""
+    lines, then = list(made.lines), ""
     if made.transposed:
         then = f"the same command {'without' if transpose else 'with'} --transpose"
-    elif not made.balanced and (calibration is None or calibration.verdict.level <= Level.REJECTED):
-        then = "correct what is named above, then import again"
     elif not made.balanced and output is not None:
         then = _calibrating(output)
+        lines.append(f"  {'alpha':<13}calibrate finds it and its verdict")
+        if made.folder:
+            alpha = shlex.join([str(_alpha_of(output)), "-o", "NEW-FOLDER"])
+            export = f"truenewton export {shlex.quote(made.folder)} --calibration {alpha}"
+            lines.append(f"  {'afterwards':<13}{export}")
     values = {
         "instrument": made.matrix.instrument,
         "actuators": made.matrix.layout.n,
         "found": {line[:15].strip(): line[15:] for line in made.lines[1:]},
-        "calibration": None if calibration is None else summary_values(calibration),
     }
     print_result(lines, output, values=values, schema="import", json=json, quiet=quiet, then=then)
 
@@ -340,40 +333,16 @@ def _import_campaign(
         if output is not None:
             write_campaign(campaign, output, overwrite=overwrite)
     values = {"instrument": campaign.instrument, "actuators": campaign.layout.n}
-    values |= {"found": {"cycles": lines[1:]}, "calibration": None}
+    values |= {"found": {"cycles": lines[1:]}}
     then = "" if output is None else _calibrating(output)
     print_result(lines, output, values=values, schema="import", json=json, quiet=quiet, then=then)
 
 
 def _calibrating(output: Path) -> str:
     """Return the command that calibrates an output, into a file of another name beside it."""
-    alpha = output.with_name(f"{output.name.partition('.')[0]}-alpha.fits")
-    return shlex.join(["truenewton", "calibrate", str(output), "-o", str(alpha)])
+    return shlex.join(["truenewton", "calibrate", str(output), "-o", str(_alpha_of(output))])
 
 
-def _first_answer(made: Imported) -> tuple[list[str], Calibration | None]:
-    """Return lines on what `ml` finds from the matrix or why it finds nothing, and the result.
-
-    `calibrate` tries reciprocity too, which takes several times as long.
-    """
-    from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.summary import summary_rows, warning_lines
-    from truenewton.errors import TrueNewtonError
-
-    def line(what: str, how: str) -> str:
-        return f"  {what:<13}{how}"
-
-    if made.transposed:
-        return [line("alpha", "none: the matrix looks transposed")], None
-    if made.balanced:
-        return [line("alpha", "none: the matrix is balanced as commanded")], None
-    try:
-        with busy("calibrating"):
-            found = calibrate(made.matrix, "ml")
-    except TrueNewtonError as error:
-        return [line("alpha", f"none: {error.fault}; {error.remedy}".rstrip("; "))], None
-    rows = zip(("alpha", "error", "scale"), summary_rows(found), strict=False)
-    lines = [line(what, f"{value}, {note}") for what, (_, value, note) in rows]
-    lines.append(line("method", "ml; calibrate tries reciprocity too, which takes longer"))
-    lines.append(line("verdict", str(found.verdict.level)))
-    return [*lines, *warning_lines(found.verdict.faults)], found
+def _alpha_of(output: Path) -> Path:
+    """Return the name of the calibration of an output."""
+    return output.with_name(f"{output.name.partition('.')[0]}-alpha.fits")

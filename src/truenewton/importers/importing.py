@@ -58,12 +58,15 @@ class Imported:
         What was found and done: a headline, and one line for each check.
     transposed, balanced
         It looks transposed; commanded forces balance, so that alpha cannot be determined.
+    folder
+        The supervisor's folder, which `export_supervisor` takes; '' of other files.
     """
 
     matrix: StiffnessMatrix
     lines: tuple[str, ...]
     transposed: bool = False
     balanced: bool = False
+    folder: str = ""
 
     def __repr__(self) -> str:
         return "\n".join(self.lines)
@@ -148,7 +151,8 @@ def stiffness_from(
     ]
     said = [f"{name}: {record.layout.n} actuators, from {given.path or 'arrays'}{given.kind}"]
     said += [f"  {what:<13}{how}" for what, how in lines]
-    return Imported(record, tuple(said), judged.transposed, judged.balanced)
+    folder = given.path if given.channels is not None else ""
+    return Imported(record, tuple(said), judged.transposed, judged.balanced, folder)
 
 
 def _numbered(found: Checked, given: Given, ids: object) -> Checked:
