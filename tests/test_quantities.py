@@ -14,7 +14,7 @@ import truenewton as tn
 from truenewton.acquisition.plan import AssumedDrift, MirrorLimits, PlannedShapes
 from truenewton.arrays import freeze
 from truenewton.bench.protocol import BenchChoice
-from truenewton.errors import FormatError
+from truenewton.errors import FormatError, GeometryError
 from truenewton.files.format import FileFormat, ImageFormat, TableFormat
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import MirrorNumbers, ring
@@ -178,7 +178,7 @@ def test_columns_of_pandas_are_arrays():
     ):
         with pytest.raises(ValueError, match=words):
             tn.layout(values.convert_dtypes(), LAYOUT.y)
-    with pytest.raises(FormatError, match="ID is not numbers"):
+    with pytest.raises(GeometryError, match="the ID in row 2 is missing; give"):
         tn.layout(LAYOUT.x, LAYOUT.y, id=gap.convert_dtypes())
 
 

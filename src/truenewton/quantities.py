@@ -62,8 +62,7 @@ class Quantity:
         if number > self.high == MAX_MAGNITUDE or number < self.low == -MAX_MAGNITUDE:
             return f"check its unit; numbers are in SI units, up to {MAX_MAGNITUDE:g}"
         if self.why:
-            turned = self.high <= 0.0 and self.low <= -number <= self.high
-            return f"{self.why}: store {-number:g}" if turned else self.why
+            return self.why
         if self.low < 0.0:
             return f"give {self.low:g} to {self.high:g}"
         words = "zero or more," if self.low == 0.0 else f"a positive number, {self.low:g}"

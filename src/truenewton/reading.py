@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from truenewton.calibration.file import CALIBRATIONS
+from truenewton.calibration.file import CALIBRATIONS, LACKS
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
@@ -222,6 +222,13 @@ def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibratio
 
 def read_alpha(path: AnyPath, *, segment: int | None = None) -> AnyCalibration:
     """Read a calibration file; of several segments one if it is chosen, otherwise all."""
+    suffix = Path(path).suffix.lower()
+    if suffix in LACKS and Path(path).is_file():
+        raise FormatError(
+            f"contains {LACKS[suffix].partition(';')[0]}",
+            remedy="give the .fits of the same calibration, which contains all of it",
+            path=path,
+        )
     data = read_chosen(path, segment=segment)
     if holds_alpha(data):
         return data

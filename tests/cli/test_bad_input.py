@@ -134,7 +134,7 @@ FILE_FAULTS = {
     "CYCLE is real": (keyword("CYCLE", 1.0), "CYCLE is 1.0"),
     "CYCLE is zero": (keyword("CYCLE", 0), "CYCLE is 0"),
     "LOAD is blank": (keyword("LOAD", "   "), "LOAD is blank"),
-    "WEIGHT is positive": (keyword("WEIGHT", 3.0), "WEIGHT is 3 N .. store -3"),
+    "WEIGHT is positive": (keyword("WEIGHT", 3.0), "WEIGHT is 3 N .. in N is negative"),
     "E_ADDED is negative": (keyword("E_ADDED", -0.1), "E_ADDED is -0.1"),
     "FORCERR is below all sense": (keyword("FORCERR", 1e-155), "FORCERR is 1e-155 N"),
     "TILT is upright": (keyword("TILT", 90.0), "TILT is 90 deg"),

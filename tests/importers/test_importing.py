@@ -602,3 +602,21 @@ def test_import_says_who_is_left_out_only_if_somebody_is():
     one, bad = with_faults(sound, 5, 1, "sign")
     text = str(judge(one).lines)
     assert f"actuator {sound.layout.id[bad.pop()]}: wrong sign (calibrate leaves" in text
+
+
+def test_a_supervisors_folder_is_to_be_imported_first_and_a_calibration_to_be_fits(
+    tmp_path, inside
+):
+    supervisor_folder(tmp_path / "meas", positions="rings")
+    tn.write_stiffness(tn.stiffness_from(CASE.k, CASE.layout).matrix, tmp_path / "k.fits")
+    for command in (["calibrate"], ["compare", tmp_path / "k.fits"]):
+        code, _, error = inside(*command, tmp_path / "meas")
+        assert code == 2
+        assert f"first; run `truenewton import {tmp_path / 'meas'} -o matrix.fits`" in error
+    (tmp_path / "alpha.csv").write_text("ID,ALPHA\n1,1.0\n")
+    command = "export", tmp_path / "meas", "--calibration", tmp_path / "alpha.csv"
+    code, _, error = inside(*command, "-o", tmp_path / "new")
+    assert (code, "contains the table alone; give the .fits" in error) == (2, True)
+    (tmp_path / "k.fits").unlink()
+    out = inside("import", tmp_path / "meas", "-o", tmp_path / "k.fits", "--curvature", "0")[1]
+    assert f"truenewton export {tmp_path / 'meas'} --calibration {tmp_path / 'k-alpha.fits'}" in out

@@ -426,6 +426,7 @@ def test_the_command_tells_people_and_scripts(inside, tmp_path):
     for words in ("temperature, mean", "spread of actuators", "no outliers",
                   "valid to 0.4 % from", f"written: {tmp_path / 't.fits'}", "0.fits"):  # fmt: skip
         assert words in out
+    assert "spread of actuators" in inside("info", tmp_path / "t.fits")[1]
     assert inside("track", *files, "-o", tmp_path / "t.fits")[0] == 2
     code, out, err = inside("track", *files, "--accuracy", "-1")
     assert (code, out, err.count("\n")) == (2, "", 1)

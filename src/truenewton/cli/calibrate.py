@@ -33,7 +33,13 @@ def run_info(
     from truenewton.calibration.summary import detail_lines
     from truenewton.calibration.survey import survey
     from truenewton.reading import holds_alpha, read_chosen
+    from truenewton.records.file import read_file
 
+    if len(paths) == 1 and paths[0].is_file():
+        file = read_file(paths[0], whole=False)
+        if {"TRACKING", "LAW"}.intersection(file.extensions):
+            _print_law(paths[0], segment, json=json, quiet=quiet, verbose=verbose)
+            return
     with busy("reading and trying to calibrate"):
         data = read_chosen(*paths, segment=segment)
         motion = options.motion_of(mirror, data)
@@ -42,6 +48,22 @@ def run_info(
     print_result(
         lines, details=details, values=values, schema="info",
         json=json, quiet=quiet, verbose=verbose,
+    )  # fmt: skip
+
+
+def _print_law(path: Path, segment: int | None, *, json: bool, quiet: bool, verbose: bool) -> None:
+    """Print the law in a tracking file, as `track` does."""
+    from truenewton.files.fits import read_fits
+    from truenewton.reading import select_segment
+    from truenewton.records.parts import body_or_parts_from
+    from truenewton.tracking.law import TRACKINGS
+    from truenewton.tracking.summary import lines, table_of, values
+
+    law = body_or_parts_from(read_fits(path), TRACKINGS)
+    law = law if segment is None else select_segment(law, segment, path)
+    print_result(
+        lines(law, None), details=table_of(law), values=values(law, None),
+        schema=schema_of("track", law), json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip
 
 

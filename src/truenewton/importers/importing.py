@@ -26,6 +26,7 @@ from truenewton.estimation.matrix.order import (
 )
 from truenewton.estimation.matrix.screen import released, screen_matrix
 from truenewton.importers.inputs import (
+    NAME,
     Given,
     NoPositions,
     Rings,
@@ -141,6 +142,8 @@ def stiffness_from(
     record, judged, positions, noted = _numbered(_first_that_fits(given, ways, check), given, ids)
     of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []
+    if name == NAME and not instrument:
+        lines.append(("mirror", f"not named in the files: {NAME}; --instrument names it"))
     lines += [
         ("matrix", f"{len(k)} x {len(k)}{of}"),
         ("sign", sign),

@@ -28,10 +28,11 @@ from truenewton.importers.selection import (
     read_positions,
 )
 from truenewton.importers.stored import Item, Stored, plain, read_stored, text_of
+from truenewton.records.file import FOREIGN_MATRIX
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout, ring_of
 
-MATRIX, CHANNELS = "ff_matrix.fits", "ff_list.fits"
+MATRIX, CHANNELS = FOREIGN_MATRIX, "ff_list.fits"
 TRACK_NUMBER = re.compile(r"(\d{4})(\d\d)(\d\d)_(\d\d)(\d\d)(\d\d)")
 NUMBERS, SHELL, POSITIONS = "act2mir_act.txt", "shell.txt", "act_coordinates.fits"
 NAME = "MIRROR"  # if it is unknown
@@ -161,8 +162,8 @@ def _in_folder(
         file = find_file(OPTICALIB_POSITIONS, *folders)
         used = mirror if file is None else None
         found = read_positions(file) if file is not None else mirror and mirror.layout
-    if file is not None and file.name == POSITIONS:
-        surface = replace(surface, unit=surface.unit or "mm", arc=True)
+    if isinstance(found, Positions) and file is not None and file.name == POSITIONS:
+        found, surface = replace(found, unit=found.unit or "mm"), replace(surface, arc=True)
     where = os.fspath(file or "")
     positions, by_ring = (_in_metres(each, where, surface) for each in (found, by_ring))
     if by_ring is not None:
@@ -260,7 +261,7 @@ def places_of(
     numbers, shell, given = (find_file(name, *folders) for name in (NUMBERS, SHELL, POSITIONS))
     if mirror is None and given is not None:
         places = of_channels(read_positions(given), channels, given)
-        return places, given, "radii along the surface, in mm"
+        return places, given, ""
     if numbers is None and mirror is not None:
         return mirror.layout, None, ""
     if numbers is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import starmap
@@ -28,6 +29,7 @@ from truenewton.statics.layout import Layout
 from truenewton.statics.load import LEAST_NOISE, Load
 
 SUFFIXES = (".fits", ".fits.gz")
+FOREIGN_MATRIX = "ff_matrix.fits"  # of a supervisor, which `import` reads
 ROUNDING = 1e-12  # of the largest mean
 INSTRUMENT = Keyword("INSTRUME", "instrument", "mirror", kind="str")
 ID = Column("ID", "layout.id", kind="int")
@@ -288,6 +290,14 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
             ) from error
         if path.is_dir():
             inside = [p for p in inside if p.name.endswith(SUFFIXES + HDF5) and p.name[0] != "."]
+            deeper = () if inside else ("*/", "*/*/")
+            if any(any(path.glob(f"{at}{FOREIGN_MATRIX}")) for at in ("", *deeper)):
+                command = shlex.join(["truenewton", "import", str(path), "-o", "matrix.fits"])
+                raise UnreadableFile(
+                    f"is a folder with {FOREIGN_MATRIX}, which has to be imported first",
+                    remedy=f"run `{command}`, and give matrix.fits",
+                    path=path,
+                )
         if not inside:
             remedy = "give the folder of a campaign, whose files end in .fits, .fits.gz or .h5"
             raise UnreadableFile("contains no FITS or HDF5 files", remedy=remedy, path=path)

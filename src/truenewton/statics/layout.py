@@ -255,14 +255,15 @@ def integers_or_texts(given: Any) -> NDArray[Any]:
     GeometryError
         One is missing, or a number that is no integer.
     """
-    values = np.asarray(given).tolist()
-    values = values if isinstance(values, list) else [values]
+    array = np.atleast_1d(given)
+    values = (array.astype(np.str_) if array.dtype.kind == "S" else array).tolist()
     texts = [f"{one:.15g}" if isinstance(one, float) else str(one).strip() for one in values]
     if all(map(INTEGER.fullmatch, texts)):
         return np.array(texts, dtype=np.int64)
     for row, (one, text) in enumerate(zip(values, texts, strict=True), 1):
-        if not isinstance(one, str | int | bytes) or not text:
-            fault = f"the ID in row {row} is {text or 'empty'}"
+        if not (INTEGER.fullmatch(text) or (isinstance(one, str) and text)):
+            no_id = text in ("", "nan", "<NA>", "None")
+            fault = f"the ID in row {row} is {'missing' if no_id else text}"
             raise GeometryError(fault, remedy="give an integer or a text for each actuator")
     return np.array(texts, dtype=np.str_)
 

@@ -30,7 +30,7 @@ TYPICAL_GRADIENTS = 600.0, 31.0
 def weight_quantity(name: str, highest: float) -> Quantity:
     """Return what the weight of a part is, by its keyword [N]; zero or less."""
     kind = "an added weight" if name == "ADDED" else "a weight"
-    why = f"z points up, so {kind} is negative, in N"
+    why = f"z points up, so {kind} in N is negative; a mass is positive with its unit, as '45 g'"
     return Quantity("N", -LARGEST_FORCE, highest, why, f"{name} is {{:g}} N", -GRAVITY)
 
 

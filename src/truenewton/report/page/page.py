@@ -54,7 +54,13 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
 from truenewton.records.parts import Parts, by_number
 from truenewton.report.figures import columns_of_shapes, findings_figures
-from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowResiduals
+from truenewton.report.findings import (
+    Evidence,
+    Findings,
+    ModeResiduals,
+    RowResiduals,
+    investigate,
+)
 from truenewton.report.page.views import (
     Actuators,
     calibration_views,
@@ -72,7 +78,7 @@ LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
 
 def write_report(
     path: str | os.PathLike[str],
-    findings: Reported,
+    findings: Reported | Calibration,
     *,
     command: str = "",
     edges: Sequence[Array] = (),
@@ -85,7 +91,7 @@ def write_report(
     path
         The page, HTML.
     findings
-        From `investigate`, `change`, or `calibrate` of a mirror in several segments.
+        From `investigate`, `compare` or `calibrate`.
     command
         The command that makes the page again, if there is one.
     edges
@@ -101,8 +107,11 @@ def write_report(
     --------
     >>> tn.write_report("report.html", tn.compare(calibration, warm))
     """
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError("write_report takes the name of the page first, then what it shows")
+    shown = investigate(findings) if isinstance(findings, Calibration) else findings
     with file_beside(path, overwrite=overwrite) as temporary:
-        text = page(findings, command, edges)
+        text = page(shown, command, edges)
         # A path may hold bytes that are no text.
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
