@@ -102,8 +102,10 @@ def test_what_is_wrong_with_a_description_is_said_in_one_line(tmp_path, inside, 
 
 def test_centimetres_for_millimetres_are_doubted_and_options_of_a_matrix_refused(tmp_path, inside):
     path = written(tmp_path, "csv", {'# unit = "mm"': 'unit = "cm"'})
-    code, out, _ = inside("import", path)
+    code, out, _ = inside("import", path, "-o", tmp_path / "made")
     assert code == 0
+    said = inside("calibrate", tmp_path / "made")[1]
+    assert "limit: Actuators are up to 1000 mm from the axis, and the mirror" in said
     assert "UNLIKELY  actuators are up to 1000 mm from the axis, and the mirror weighs" in out
     code, _, error = inside("import", path, "positions.csv", "--transpose")
     assert code == 2

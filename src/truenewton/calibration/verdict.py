@@ -36,6 +36,7 @@ from truenewton.estimation.paper.identifiability import (
 )
 from truenewton.records.parts import Parts
 from truenewton.records.result import verdict_of
+from truenewton.records.tables import size_doubt
 from truenewton.rounding import percent, significant, with_error
 from truenewton.statics.arms import effective_weight
 
@@ -228,6 +229,9 @@ def _of_result(c: Calibration) -> Iterator[Finding]:
     rows = c.rejected + c.shapes_used
     if c.rejected > LIMITS.rejected_fraction * rows:
         yield Finding.of(Code.MANY_ROWS_REJECTED, share=c.rejected / rows)
+    doubt = size_doubt(c.layout, c.weight) if np.isfinite(c.weight) else None
+    if doubt is not None:
+        yield Finding.of(Code.SIZE_IMPLAUSIBLE, fault=doubt.fault, advice=doubt.remedy)
     yield from scale_faults(c)
     if c.rejected:
         yield _rejected(c)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, GeometryError, naming
+from truenewton.errors import Fault, FormatError, GeometryError, naming
 from truenewton.quantities import in_unit
 from truenewton.records.cycle import ARRAYS, Cycle
 from truenewton.rounding import counted, listed
@@ -62,18 +62,30 @@ def layout_of(positions: Any, enabled: Any = None, unit: str | None = None) -> L
     return layout(x, y, enabled=enabled)
 
 
-def check_size(actuators: Layout, weight: float) -> str:
-    """Return that positions and the weight [N] hardly fit together, or ''; refuse absurd ones."""
-    radius = float(np.hypot(actuators.x, actuators.y).max())
-    glass = abs(weight) / (GRAVITY * GLASS_DENSITY * np.pi * max(radius, 1e-9) ** 2)
+def size_doubt(actuators: Layout, weight: float) -> Fault | None:
+    """Return that positions and the weight [N] hardly fit together, or None."""
+    radius, glass = _size(actuators, weight)
     if LIKELY_THICKNESS[0] < glass < LIKELY_THICKNESS[1]:
-        return ""
+        return None
     fault = f"actuators are up to {1e3 * radius:.4g} mm from the axis, and the mirror weighs"
     fault += f" {abs(weight):.3g} N, as a disc of glass {1e3 * glass:.2g} mm thick"
-    remedy = "check the unit of the positions, and the weight"
-    if not POSSIBLE_THICKNESS[0] < glass < POSSIBLE_THICKNESS[1]:
-        raise GeometryError(fault, remedy=remedy)
-    return f"{fault}: {remedy}"
+    return Fault(fault, "check the unit of the positions, and the weight")
+
+
+def check_size(actuators: Layout, weight: float) -> str:
+    """Return that positions and the weight [N] hardly fit together, or ''; refuse absurd ones."""
+    if (doubt := size_doubt(actuators, weight)) is None:
+        return ""
+    if not POSSIBLE_THICKNESS[0] < _size(actuators, weight)[1] < POSSIBLE_THICKNESS[1]:
+        raise GeometryError(doubt.fault, remedy=doubt.remedy)
+    return f"{doubt.fault}: {doubt.remedy}"
+
+
+def _size(actuators: Layout, weight: float) -> tuple[float, float]:
+    """Return the largest distance from the axis, and the thickness of a disc of that weight [m]."""
+    radius = float(np.hypot(actuators.x, actuators.y).max())
+    own = float(np.hypot(actuators.x - actuators.x.mean(), actuators.y - actuators.y.mean()).max())
+    return radius, abs(weight) / (GRAVITY * GLASS_DENSITY * np.pi * max(own, 1e-9) ** 2)
 
 
 def columns_in(table: Any) -> dict[str, tuple[str, str]]:

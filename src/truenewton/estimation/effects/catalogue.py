@@ -366,7 +366,7 @@ LOAD_REPOSITIONED = Effect(
     Code.LOAD_REPOSITIONED,
     "N",
     partial(zero_by_file, each=True, at_rest=True),
-    "put loads on at the same place each time",
+    "put loads on at the same place, and hold the same shape at rest, each time",
     "file",
 )
 POSITIONS = Effect(Code.POSITIONS, "m", positions, "measure X and Y of the magnets", "actuator")

@@ -205,6 +205,7 @@ ENTRIES: dict[Code, Entry] = {
         "the mean TEMPERATURE is {temperature:.3g} deg C",
         "check its unit: 20 deg C is 68 in Fahrenheit",
     ),
+    Code.SIZE_IMPLAUSIBLE: _usable("{fault}", "{advice}"),
     Code.WEIGHT_ABOVE_FORCES: _doubtful(
         "WEIGHT is {weight:.3g} N, {each:.2g} N for each actuator, but no actuator exerted more"
         " than {largest:.2g} N: B is estimated as {bias:.3g} N",
@@ -300,8 +301,8 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.ALL_NEGATIVE: _rejected(
         "alpha is negative for all {n} actuators",
-        "reverse the sign of FORCE, which is positive upwards; or correct ADDED, which may belong"
-        " to the other load",
+        "check whether LOAD and ADDED of the loads are exchanged; if not, reverse the sign of"
+        " FORCE, which is positive upwards",
     ),
     Code.ALPHA_ZERO: _usable(
         "{actuators:names actuator}: dead, alpha is {alpha}",

@@ -90,6 +90,7 @@ class Code(StrEnum):
     # Numbers beside the readings.
     DATES_APART = "dates-apart"
     TEMPERATURE_IMPLAUSIBLE = "temperature-implausible"
+    SIZE_IMPLAUSIBLE = "size-implausible"
     WEIGHT_ABOVE_FORCES = "weight-above-forces"
     WEIGHT_BELOW_BIAS = "weight-below-bias"
     WEIGHTS_DISAGREE = "weights-disagree"
