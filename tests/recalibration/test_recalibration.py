@@ -332,7 +332,7 @@ def test_the_command_writes_an_ordinary_calibration(inside, files, tmp_path):
     assert values["asked"] == []
     assert len(values["earlier"]) == 45
     for known, named, said in (
-        (alpha, "x", "--actuators is 'x'"),
+        (alpha, "x", "there is no actuator x; IDs run"),
         (after / "bare-001.fits", "17", "is not a calibration"),
     ):
         code, out, err = inside("recalibrate", after, "--known", known, "--actuators", named)
