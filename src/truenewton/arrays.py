@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.errors import FormatError
-from truenewton.quantities import mask_of, other_unit, unit_of
+from truenewton.quantities import mask_of, numbers_of, other_unit, unit_of
 
 Array = NDArray[np.float64]
 
@@ -51,24 +51,13 @@ def freeze(record: object, *names: str, dtype: Any = np.float64) -> None:
             raise other_unit(name, str(unit), "")
         if not plain and mask_of(given) is not None:
             raise FormatError(f"{name.upper()} is masked", remedy="give all of it, or leave it out")
-        values = _as_array(given, dtype, name)
+        if hasattr(given, "isna") and np.any(given.isna()) and np.dtype(dtype) == float:
+            given = given.to_numpy(dtype=float, na_value=np.nan)  # missing ones of pandas
+        values = numbers_of(given, name, dtype) if dtype is not None else given
         if values is not given or values.flags.writeable:
             values = np.array(values)
             values.setflags(write=False)
             object.__setattr__(record, name, values)
-
-
-def _as_array(given: Any, dtype: Any, name: str) -> NDArray[Any]:
-    """Return the (...,) numbers of a field; missing ones of pandas are NaN."""
-    try:
-        if hasattr(given, "isna") and np.any(given.isna()) and np.dtype(dtype) == float:
-            given = given.to_numpy(dtype=float, na_value=np.nan)
-        with np.errstate(invalid="raise"):  # no integer is NaN
-            return np.asarray(given, dtype=dtype, order="C")
-    except (TypeError, ValueError, FloatingPointError) as error:
-        raise FormatError(
-            f"{name.upper()} is not numbers ({error})", remedy="give numbers"
-        ) from None
 
 
 def rms(values: Array) -> float:

@@ -141,7 +141,7 @@ def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0, has: Any = N
 
     mask = mask_of(value)
     try:
-        plain = u.Quantity(_numbers_of(getattr(value, "unmasked", value), name), own)
+        plain = u.Quantity(numbers_of(getattr(value, "unmasked", value), name), own)
         if of_mass and plain.unit.is_equivalent(u.kg):
             plain = of_mass * plain.to_value(u.kg) * u.Unit(unit)
         numbers = plain.to_value(u.Unit(unit), equivalencies=u.temperature())
@@ -154,12 +154,13 @@ def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0, has: Any = N
     return float(numbers) if np.ndim(numbers) == 0 else np.asarray(numbers)
 
 
-def _numbers_of(value: Any, name: str) -> NDArray[Any]:
-    """Return (...,) numbers; texts among them are refused."""
-    numbers = np.asarray(value)
+def numbers_of(value: Any, name: str, dtype: Any = None) -> NDArray[Any]:
+    """Return (...,) numbers, of a type if it is given; texts among them are refused."""
     try:
-        return numbers.astype(float) if numbers.dtype.kind in "OSU" else numbers
-    except (TypeError, ValueError) as error:
+        with np.errstate(invalid="raise"):  # no integer is NaN
+            numbers = np.asarray(value, dtype=dtype, order="C")
+            return numbers.astype(float) if numbers.dtype.kind in "OSU" else numbers
+    except (TypeError, ValueError, FloatingPointError) as error:
         raise FormatError(
             f"{name.upper()} is not numbers ({error})", remedy="give numbers"
         ) from None

@@ -40,7 +40,7 @@ def layout_of(positions: Any, enabled: Any = None, unit: str | None = None) -> L
     """Return a layout, or that of (n,) x and y, of (n, 2) positions [m], or of columns x, y, id."""
     if isinstance(positions, Layout):
         return positions if enabled is None else replace(positions, enabled=enabled)
-    every = {name.casefold(): (of, own) for name, (of, own) in columns_in(positions).items()}
+    every = columns_in(positions)
     if "x" in every and "y" in every:
         named = ("nz", "enabled", "segment", *ID_NAMES)
         found = {name: positions[every[name][0]] for name in named if name in every}
@@ -52,6 +52,9 @@ def layout_of(positions: Any, enabled: Any = None, unit: str | None = None) -> L
         others = {name: found[name] for name in ("nz", "enabled", "segment") if name in found}
         others |= {} if enabled is None else {"enabled": enabled}
         return layout(x, y, id=ids, **others)
+    if every and np.asarray(positions).dtype.kind not in "fiu":
+        fault = f"positions have no columns x and y, but {listed(positions)}"
+        raise FormatError(fault, remedy="name two of them x and y")
     if len(positions) != 2:
         positions, unit = np.asarray(in_unit(positions, "m", "positions", has=unit)), None
         if positions.shape[1:] != (2,):
@@ -89,14 +92,15 @@ def _size(actuators: Layout, weight: float) -> tuple[float, float]:
 
 
 def columns_in(table: Any) -> dict[str, tuple[str, str]]:
-    """Return the columns of a table or dictionary, by name also without the unit in the name.
+    """Return the columns of a table or dictionary, by name also in lower case without its unit.
 
     Each is the name in the table, and the unit in it or ''. There are none in other data.
     """
     every = getattr(table, "columns", table if isinstance(table, Mapping) else ())
     names = [name for name in every if isinstance(name, str)]
-    short = {plain: (name, unit) for name in names for plain, unit in [name_and_unit(name)]}
-    return short | {name: (name, name_and_unit(name)[1]) for name in names}
+    parts = [(name, *name_and_unit(name)) for name in names]
+    short = {plain.casefold(): (name, unit) for name, plain, unit in parts}
+    return short | {name: (name, unit) for name, _, unit in parts}
 
 
 def name_and_unit(name: str) -> tuple[str, str]:
@@ -229,7 +233,9 @@ def cycles_in_table(
     missing = [part for name in required for part in named[name] if part not in there]
     if missing:
         remedy = f"name it by columns={{...}}; there is {listed(getattr(table, 'columns', table))}"
-        if not wide:
+        if wide:
+            remedy += f"; IDs of the positions are {listed(actuators.names, 3)}"
+        else:
             remedy += "; for one column of each actuator, columns={'force': 'F{id}'}"
         raise FormatError(f"the table has no column '{missing[0]}'", remedy=remedy)
     used = {name: parts for name, parts in named.items() if set(parts) <= set(there)}
@@ -281,7 +287,8 @@ def wide_rows(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str
     if unknown := [text for text in dict.fromkeys(texts) if text not in at]:
         raise FormatError(
             f"there is no actuator {listed(unknown, 3)}",
-            remedy=f"give IDs of the positions, {listed(at, 3)}, in the column of actuators",
+            remedy=f"give the IDs of the positions, {listed(at, 3)}; columns id, x and"
+            " y of a table of positions, or tn.layout(x, y, id=...), may have any texts",
         )
     column = np.array([at[text] for text in texts])
     keys = [name for name in ("shape", "sign", "row") if name in values]

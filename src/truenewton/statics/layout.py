@@ -128,12 +128,13 @@ class Layout:
 
     def _refuse_twice(self) -> None:
         """Refuse two actuators of one name, or at one place to the nanometre."""
-        values, count = np.unique(self.id, return_counts=True)
-        if (count > 1).any():
-            raise GeometryError(
-                f"actuator ID {values[count > 1][0]} occurs {count.max()} times",
-                remedy="give every actuator its own ID, whatever its segment",
-            )
+        for ids in (self.id, self.names):
+            values, count = np.unique(ids, return_counts=True)
+            if (count > 1).any():
+                raise GeometryError(
+                    f"actuator ID {values[count > 1][0]} occurs {count.max()} times",
+                    remedy="give every actuator its own ID, whatever its segment",
+                )
         at = np.round([self.x / 1e-9, self.y / 1e-9])
         places, first, count = np.unique(at, axis=1, return_inverse=True, return_counts=True)
         if (count > 1).any():
@@ -303,12 +304,6 @@ def layout(
     if id is not None and (ids := integers_or_texts(id)).dtype.kind == "U":
         if number is not None:
             raise GeometryError("IDs are texts, and NUMBER is given", remedy="give one of them")
-        names, count = np.unique(ids, return_counts=True)
-        if (count > 1).any():
-            raise GeometryError(
-                f"actuator ID {names[count > 1][0]} occurs {count.max()} times",
-                remedy="give every actuator its own ID",
-            )
         id, number = None, ids
     columns: dict[str, Any] = {
         "id": np.arange(1, n + 1) if id is None else id,
