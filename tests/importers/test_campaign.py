@@ -147,7 +147,7 @@ def test_texts_as_ids_are_kept_beside_numbers_in_the_order_of_the_positions(
         table.to_csv(tmp_path / f"{cycle.load.name}-{cycle.number}.csv", index=False)
     code, out, error = inside("import", path, "-o", tmp_path / "made")
     assert (code, error) == (0, "")
-    assert "IDs count them, their texts are NUMBER" in out
+    assert "IDs are texts (NUMBER): numbered from 1 in this order" in " ".join(out.split())
     made = tn.read(tmp_path / "made")
     assert made.layout.number.tolist() == names[::-1].tolist()
     for one, other in zip(made, CAMPAIGN, strict=True):

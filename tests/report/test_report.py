@@ -11,7 +11,7 @@ from bokeh.resources import Resources
 
 import truenewton as tn
 from helpers import report_data
-from helpers.balanced import arms_of, p45_campaign
+from helpers.balanced import arms_of, p45_campaign, p45_matrix
 from helpers.report_data import HOSTILE, changed_by, hostile_campaign
 from truenewton.calibration.layers import layers_of
 from truenewton.calibration.methods import calibrate
@@ -280,6 +280,24 @@ def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp
     code, _, err = inside("report", p45_folder, "-o", tmp_path / "x.html", "--method", "no")
     assert code == 2
     assert "there is no method 'no'" in err
+
+
+def test_a_matrix_with_its_calibration_and_actuators_with_texts(inside, tmp_path):
+    """The command that `calibrate` names after a matrix; a calibration is a page, too."""
+    matrix = p45_matrix()[0]
+    texts = np.array([f"B{i}" for i in matrix.layout.id])
+    matrix = replace(matrix, layout=replace(matrix.layout, number=texts))
+    tn.write_stiffness(matrix, tmp_path / "k.fits")
+    calibration = tn.calibrate(tmp_path / "k.fits", "ml")
+    calibration.write(tmp_path / "a.fits")
+    command = "report", tmp_path / "k.fits", "--calibration", tmp_path / "a.fits"
+    code, out, err = inside(*command, "-o", tmp_path / "one.html")
+    assert (code, err) == (0, "")
+    assert "(B" in out
+    tn.write_report(tmp_path / "two.html", calibration)
+    assert "17 (B17)" in (tmp_path / "two.html").read_text()
+    with pytest.raises(TypeError, match="takes the name of the page first"):
+        tn.write_report(calibration, tmp_path / "two.html")
 
 
 def test_a_calibration_of_other_files_gives_no_page(p45):

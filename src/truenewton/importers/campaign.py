@@ -165,7 +165,7 @@ def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, tuple[str,
         )
         made = layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled, segment=at.segment)
         if made.has_texts:
-            notes = (*notes, "IDs count them, their texts are NUMBER")
+            notes = (*notes, "IDs are texts (NUMBER): numbered from 1 in this order")
         if made.segments:
             raise FormatError(
                 f"has actuators of {len(made.segments)} segments, which balance separately",
@@ -187,15 +187,15 @@ def _load_of(given: LoadFiles) -> Load:
 
 def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) -> dict[str, Any]:
     """Return the arrays of the cycle in a file."""
-    columns, values = described.columns, dict[str, Any]()
+    columns, values, there = described.columns, dict[str, Any](), _columns_in(stored)
     for name in (field.name for field in fields(Columns)):
         wanted = getattr(columns, name)
         if not wanted:
             continue
         if name in MATRICES and not columns.actuator:
-            item = _matrix_in(stored, wanted, actuators)
+            item = _matrix_in(stored, there, wanted, actuators)
         else:
-            item = _column_in(stored, wanted)
+            item = _column_in(stored, there, wanted)
         values[name] = item.values if name == "actuator" else require_numbers(item, str(wanted))
         if unit := item.unit or getattr(described.units, name, ""):
             values[name] = in_unit(item.values, Cycle.QUANTITIES[name].unit, name, has=unit)
@@ -208,23 +208,21 @@ def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) ->
 
 
 def _columns_in(stored: Stored) -> dict[str, Item]:
-    """Return columns and arrays by their names, also without the groups of HDF5 and the unit."""
-    every = {**stored.arrays, **stored.columns}
+    """Return columns and arrays by name, also in lower case, without groups of HDF5 or the unit."""
     found: dict[str, Item] = {}
-    for name, item in every.items():
+    for name, item in {**stored.arrays, **stored.columns}.items():
         plain, unit = name_and_unit(name)
-        with_unit = Item(item.values, item.unit or unit)
-        found |= dict.fromkeys((plain, name.rsplit("/", 1)[-1]), with_unit)
-        found[name] = with_unit
+        item = Item(item.values, item.unit or unit)
+        short = (plain.lower(), name.lower().rsplit("/", 1)[-1], name.lower())
+        found = dict.fromkeys(short, item) | found | {name: item}
     return found
 
 
-def _column_in(stored: Stored, wanted: str | int) -> Item:
+def _column_in(stored: Stored, there: dict[str, Item], wanted: str | int) -> Item:
     """Return a column by its name or number."""
     if isinstance(wanted, int):
         return Item(_table(stored, wanted)[:, wanted - 1])
-    there = _columns_in(stored)
-    item = there.get(wanted) or {name.lower(): it for name, it in there.items()}.get(wanted.lower())
+    item = there.get(wanted) or there.get(wanted.lower())
     if item is None:
         raise FormatError(
             f"there is no column '{wanted}'",
@@ -234,18 +232,20 @@ def _column_in(stored: Stored, wanted: str | int) -> Item:
     return Item(np.squeeze(item.values), item.unit)
 
 
-def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout) -> Item:
+def _matrix_in(
+    stored: Stored, there: dict[str, Item], wanted: str | int, actuators: Layout
+) -> Item:
     """Return (rows, n) values: columns from a number on, columns of each actuator, or an array."""
     n = actuators.n
     if isinstance(wanted, int):
         return Item(_table(stored, wanted + n - 1)[:, wanted - 1 : wanted - 1 + n])
     if "{id}" in wanted:
-        names = columns_by_id(wanted, actuators, _columns_in(stored))
-        items = [_column_in(stored, name) for name in names]
+        names = columns_by_id(wanted, actuators, there)
+        items = [_column_in(stored, there, name) for name in names]
         for name, item in zip(names, items, strict=True):
             require_numbers(item, name)
         return Item(np.stack([item.values for item in items], axis=1), items[0].unit)
-    item = _column_in(stored, wanted)
+    item = _column_in(stored, there, wanted)
     if item.values.ndim != 2 or item.values.shape[1] != n:
         raise FormatError(
             f"'{wanted}' has shape {item.values.shape}",

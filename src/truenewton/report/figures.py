@@ -70,7 +70,8 @@ def findings_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
             drawn["residuals"] = partial(plot_balance, residuals)
         elif isinstance(data, Campaign):
             drawn["residuals"] = partial(plot_residuals, residuals, data)
-        drawn["singular-values"] = partial(plot_singular_values, evidence)
+        if evidence.singular_values.size:
+            drawn["singular-values"] = partial(plot_singular_values, evidence)
         drawn["balance"] = partial(plot_balance, residuals)
     if isinstance(data, Campaign):
         drawn["temperatures"] = partial(plot_temperatures, data)

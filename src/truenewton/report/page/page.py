@@ -351,7 +351,8 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
         yield _modes(evidence.residuals)
     elif isinstance(findings.data, Campaign):
         yield _rows(findings.data, c, evidence.residuals)
-    yield _singular_values(evidence)
+    if evidence.singular_values.size:  # of a matrix the calibration file does not contain them
+        yield _singular_values(evidence)
     yield _balance(evidence)
 
 
