@@ -99,7 +99,7 @@ class NotToBeUsed(TrueNewtonError, ValueError):
 
 
 class TrueNewtonWarning(UserWarning):
-    """A verdict that is 'doubtful' or 'rejected', or positions and a weight that hardly fit."""
+    """A verdict that is 'doubtful' or 'rejected'."""
 
 
 class NotConverged(TrueNewtonError, ArithmeticError):

@@ -9,7 +9,7 @@ import pytest
 
 import truenewton as tn
 from helpers.balanced import campaign_of
-from truenewton.errors import CampaignMismatch, FormatError, TrueNewtonWarning
+from truenewton.errors import CampaignMismatch, FormatError, GeometryError
 
 CAMPAIGN = campaign_of(seed=3, noise=1e-4, disabled=(5,))[0]
 LAYOUT = CAMPAIGN.layout
@@ -67,9 +67,9 @@ def test_pandas_with_units_and_positions_of_each_actuator_in_a_row():
     for made in (plain, with_unit):
         np.testing.assert_allclose(made.cycles[0].force, run["force"], rtol=1e-12)
         np.testing.assert_allclose(made.layout.y, LAYOUT.y, rtol=1e-12)
-    with pytest.warns(TrueNewtonWarning, match="are up to 1000 mm from the axis, and the mirr"):
+    with pytest.raises(GeometryError, match=r"are up to 0\.1 mm from the axis, and the mirror"):
         tn.Campaign.from_arrays(
-            "T", places, *WEIGHTS, {BARE: run}, **other, units={"positions": "cm"}
+            "T", places, *WEIGHTS, {BARE: run}, **other, units={"positions": "um"}
         )
 
 

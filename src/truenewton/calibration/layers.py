@@ -67,7 +67,7 @@ def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
                   "Relative alpha from the even elastic modes less that from the odd:"
                   " cross-validation of a matrix.", centre=0.0)
         )  # fmt: skip
-    if c.layout.number is not None and c.layout.number.dtype.kind == "i":
+    if c.layout.has_channels:
         meaning = "Number of the actuator on the mirror; its ID is the channel of the electronics."
         layers.append(
             Layer("mirror_number", "number on the mirror", "", 1.0 * c.layout.number, meaning)

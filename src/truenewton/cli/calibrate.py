@@ -98,6 +98,7 @@ def run_calibrate(
     from truenewton.reading import read_data
     from truenewton.records.file import SUFFIXES
     from truenewton.records.parts import has_parts
+    from truenewton.records.stiffness_matrix import StiffnessMatrix
 
     if output is not None:
         suffix_of(output)
@@ -122,6 +123,9 @@ def run_calibrate(
         of_data = [*map(str, paths), "--calibration"] if not has_parts(found) else []
         if output.name.lower().endswith(SUFFIXES):  # other formats have no report
             then = shlex.join(["truenewton", "report", *of_data, str(output), "-o", "report.html"])
+            if isinstance(data, StiffnessMatrix) and data.layout.has_channels:
+                export = f"truenewton export FOLDER --calibration {shlex.quote(str(output))}"
+                lines.append(f"  afterwards, with the supervisor's folder: {export} -o NEW-FOLDER")
     print_result(
         lines, output, details=detail_lines(found, data), values=summary_values(found),
         schema=schema_of("calibrate", found), json=json, quiet=quiet, verbose=verbose, then=then,

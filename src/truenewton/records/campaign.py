@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
-from truenewton.errors import CampaignMismatch, TrueNewtonWarning
+from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.records.tables import check_size, cycles_from_arrays, cycles_in_table, layout_of
@@ -109,11 +108,6 @@ class Campaign:
         ------
         FormatError, GeometryError, CampaignMismatch
 
-        Warns
-        -----
-        TrueNewtonWarning
-            Positions and weight hardly fit together, so that a unit may be wrong.
-
         Examples
         --------
         >>> import astropy.units as u
@@ -135,8 +129,7 @@ class Campaign:
         mirror = {"instrument": instrument, "layout": actuators, **more}
         mirror |= {"weight": weight, "weight_error": weight_error}
         made = cls(tuple(cycles_from_arrays(mirror, loads, date, units)))
-        if doubt := check_size(actuators, made.weight):
-            warnings.warn(f"{instrument}: {doubt}", TrueNewtonWarning, stacklevel=2)
+        check_size(actuators, made.weight)
         return made
 
     @classmethod

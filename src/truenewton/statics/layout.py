@@ -161,6 +161,11 @@ class Layout:
         """Whether ``number`` contains texts."""
         return self.number is not None and self.number.dtype.kind == "U"
 
+    @property
+    def has_channels(self) -> bool:
+        """Whether ``id`` is the channel of the electronics, and ``number`` that on the mirror."""
+        return self.number is not None and not self.has_texts
+
     @cached_property
     def names(self) -> NDArray[np.str_]:
         """(n,) the names that the user gave to the actuators: texts in ``number``, or ``id``."""
