@@ -89,7 +89,7 @@ def changed_actuators(c: Comparison) -> Iterator[tuple[str, str, str]]:
         alpha = with_error(float(c.alpha_ratio[k]), float(c.alpha_ratio_error[k]))
         gain = with_error(float(c.sensor_ratio[k]), float(c.sensor_ratio_error[k]))
         marks = [" changed" if each[k] else "" for each in (c.alpha_changed, c.sensor_changed)]
-        yield str(c.layout.id[k]), alpha + marks[0], gain + marks[1]
+        yield str(c.layout.shown[k]), alpha + marks[0], gain + marks[1]
 
 
 def _lines_of_calibrations(c: Change) -> Iterator[str]:
@@ -104,7 +104,7 @@ def _lines_of_calibrations(c: Change) -> Iterator[str]:
     yield row("alpha changed", changed, f"by more than {c.limit:.1f} sigma (1 % false alarms)")
     for k in c.changed[:MAX_ROWS]:
         size, sigmas = 100 * c.relative[k], c.sigmas[k]
-        yield f"  {c.layout.id[k]:<12}{size:+.2f} %, {sigmas:+.1f} sigma"
+        yield f"  {c.layout.shown[k]:<12}{size:+.2f} %, {sigmas:+.1f} sigma"
     if len(c.changed) > MAX_ROWS:
         yield f"  and {len(c.changed) - MAX_ROWS} more"
     yield "  Two stiffness matrices would show smaller changes, and those of the sensors."

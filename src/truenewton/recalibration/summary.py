@@ -39,7 +39,9 @@ def _changes(made: Recalibration, segment: int) -> Iterator[str]:
         was, change = f"{before:.4g}", f"{100 * (now / before - 1):+.2f} %"
         if not math.isfinite(before):
             was, change = "-", "no earlier value"
-        rows.append((str(name), was, with_error(now, error), change, words))
+        rows.append(
+            (str(c.layout.shown[actuator_index]), was, with_error(now, error), change, words)
+        )
     yield from table_lines("  changed:", *rows) if changed else ["  no actuator changed"]
     yield (
         "  other actuators relative to their earlier calibration: chi2/DOF ="

@@ -82,7 +82,8 @@ def remarks(tracking: Tracking) -> Iterator[str]:
     for one in t.outliers:
         deviation = OUTLYING[one.effect].format(f"{abs(one.sigmas):.1f}")
         chance = chance_text(one.probability)
-        yield f"OUTLIER: actuator {one.actuator}, {deviation} ({chance})"
+        name = t.layout.shown[t.layout.id == one.actuator][0]
+        yield f"OUTLIER: actuator {name}, {deviation} ({chance})"
     if not t.outliers:
         yield "no outliers (false alarms on at most 1 % of mirrors)"
     if t.probability < 1e-3:
@@ -98,7 +99,7 @@ def table_of(tracking: Tracking | Parts[Tracking]) -> Iterator[str]:
     """Yield the table of the actuators, segment by segment."""
     for number, t in by_number(tracking).items():
         rows = [("actuator", "alpha", "k [%/K]", "drift [%/yr]")]
-        columns = (t.layout.id, t.alpha, t.coefficient, t.drift, *t.errors)
+        columns = (t.layout.shown, t.alpha, t.coefficient, t.drift, *t.errors)
         for name, a, k, d, ea, ek, ed in zip(*columns, strict=True):
             coefficient = with_error(100 * k, 100 * ek) if "temperature" in t.effects else "-"
             drift = with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-"
