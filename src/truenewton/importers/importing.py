@@ -143,7 +143,7 @@ def stiffness_from(
     of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []
     if name == NAME and not instrument:
-        lines.append(("mirror", f"not named in the files: {NAME}; --instrument names it"))
+        lines.append(("mirror", f"not named: called {NAME}; --instrument (instrument=) names it"))
     lines += [
         ("matrix", f"{len(k)} x {len(k)}{of}"),
         ("sign", sign),

@@ -103,9 +103,10 @@ def _fits(path: str) -> Stored:
                 arrays[name] = Item(numbers, part.unit)
         elif isinstance(part, Table):
             for column, (values, unit) in part.columns.items():
-                numbers = plain(np.asarray(values))
-                if numbers is not None:
-                    columns.setdefault(column, Item(numbers, unit))
+                cells = np.asarray(values)
+                held = cells if cells.dtype.kind == "U" else plain(cells)
+                if held is not None:
+                    columns.setdefault(column, Item(held, unit))
         else:
             raise part
     return Stored(path, arrays, columns, file.header)
