@@ -250,6 +250,9 @@ def _likeliest(
             (sensor**2 * np.sum(each * wanted, axis=0) + PRIOR_RESIDUALS) * sensor / counted
         )
         offsets = max(offsets * np.sqrt(by_offsets), share)
+        # A common factor of c belongs to a^2 and p^2: the prior is most likely if mean 1/c is 1.
+        common = float(np.mean(1.0 / sensor))
+        sensor, size = sensor * common, size / common
         return np.log(np.concatenate([size, [offsets], sensor])), cost
 
     logs = start
