@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from truenewton.estimation.matrix.facts import MatrixFacts
-from truenewton.estimation.reciprocity.matrix import examined, modes_of
+from truenewton.estimation.reciprocity.matrix import examined, fit_jointly, modes_of
 from truenewton.estimation.reciprocity.sensor_model import Kind
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.shell_model import model_shell
@@ -30,7 +30,8 @@ def test_errors_of_alpha_and_sensors_are_valid_whatever_law_the_noise_follows(la
         if law == "by sensor":
             error *= np.exp(0.7 * random.standard_normal(n))
         facts = MatrixFacts(exact + error, comparable_arms(mirror.layout))
-        found = examined(modes_of(mirror.layout, facts))
+        modes = modes_of(mirror.layout, facts)
+        found = examined(modes, fit_jointly(modes))
         values, stated = found.joint.values, found.sensor_errors
         of_alpha = values.log_alpha - log_alpha
         errors = (

@@ -84,6 +84,15 @@ def refusals(evidence: Evidence) -> Iterator[Finding]:
         yield Finding.of(Code.SENSORS_FAR, offset=1e3 * evidence.offset_spread)
 
 
+def surely_worse(error: float, of_balance: float) -> bool:
+    """Return whether noise alone makes errors larger than those of `ml`.
+
+    Other evidence can only increase them. Only if that could make them senseless (three times as
+    large), it would change the findings.
+    """
+    return of_balance < error < 0.3 * SENSELESS_ERROR
+
+
 def failed(error: TrueNewtonError) -> Finding:
     """Return that an estimate ended in an error."""
     return Finding.of(Code.ESTIMATE_FAILED, fault=error.fault, remedy=error.remedy)

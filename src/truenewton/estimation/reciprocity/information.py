@@ -208,7 +208,8 @@ def score(point: Point) -> Array:
     pulled = dict[int, Array]()
     if symmetric:
         pull = (weights.of_pairs * left.reciprocity).astype(left.work.dtype, copy=False)
-        pulled = {id(design.q): pull @ design.q for design in point.designs.values()}
+        forces = {id(design.q): design.q for design in point.designs.values()}
+        pulled = {key: pull @ q for key, q in forces.items()}
     for kind, design in point.designs.items():
         part = np.zeros(design.p.shape[1])
         if symmetric:
@@ -352,7 +353,8 @@ def _add_statics(total: Array, point: Point, before: Fitted | None, taken: Lever
         return
     for r in range(3):
         scaled = q[:, r, None] * f
-        total[:n, :n] += (scaled * weights.statics[r].astype(f.dtype)) @ scaled.T
+        weighted = scaled * np.sqrt(weights.statics[r]).astype(f.dtype)
+        total[:n, :n] += weighted @ weighted.T
         if before is not None:
             each = np.sum(scaled * (before.covariance[:n, :n] @ scaled), axis=0)
             taken.statics[r] += _by_bin(each * before.weights.statics[r], weights)
@@ -366,7 +368,8 @@ def _add_rigid(total: Array, point: Point, before: Fitted | None, taken: Leverag
     for r in range(3):
         if not felt:
             return
-        gram = (kv * weights.rigid[:, r].astype(kv.dtype)) @ kv.T
+        weighted = kv * np.sqrt(weights.rigid[:, r]).astype(kv.dtype)
+        gram = weighted @ weighted.T
         met = np.zeros_like(gram)
         for k, (i, c) in enumerate(felt):
             for j, d in felt[k:]:

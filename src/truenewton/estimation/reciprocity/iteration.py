@@ -127,7 +127,8 @@ def fit(
         before = None if fixed else Fitted(covariance, point.weights)
         if leverage is not None and told is not None:
             told(leverage)
-        move = -covariance @ (score(point) + known * asked.vector(values))
+        gradient = score(point) + known * asked.vector(values)
+        move = -(covariance @ gradient.astype(covariance.dtype)).astype(float)
         error = np.sqrt(np.mean(np.diag(covariance)[:n]))
         last, size = size, float(np.sqrt(np.mean(move[:n] ** 2)))
         settled = step > 0 and size < SETTLED_STEP * error

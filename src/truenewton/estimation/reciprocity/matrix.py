@@ -116,16 +116,32 @@ class MatrixEvidence:
     evidence: acceptance.Evidence
 
 
-def examined(modes: Modes) -> MatrixEvidence:
-    """Fit all modes and every second one, by balance and reciprocity together and apart.
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """The fit by all equations, and its errors by the noise of the matrix."""
 
-    Noise and scatter of the sensors are those of the fit to all, except by balance alone.
-    Raises RankDeficient, NotConverged.
-    """
+    fit: Fit
+    noise: MatrixNoise
+    covariance: Array  # (n, n) of log alpha
+    sensor_errors: dict[Kind, Array]  # (n,) of log g and of offsets [m]
+
+
+def fit_jointly(modes: Modes) -> JointFit:
+    """Fit all modes by balance and reciprocity. Raises RankDeficient, NotConverged."""
     report_progress("reciprocity", 0.02)
     joint = modes.fit(START_REQUEST)
     report_progress("reciprocity, the noise", 0.5)
     noise = noise_of(modes.stiffness, joint, modes.places)
+    return JointFit(joint, noise, *stated_errors(joint, noise))
+
+
+def examined(modes: Modes, fitted: JointFit) -> MatrixEvidence:
+    """Fit every second mode by all equations, and all by balance alone and reciprocity alone.
+
+    Noise and scatter of the sensors are those of the fit to all, except by balance alone.
+    Raises RankDeficient, NotConverged.
+    """
+    joint, noise = fitted.fit, fitted.noise
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS_OFFSET
     report_progress("reciprocity, of halves of the modes", 0.65)
     again, weights = replace(joint.asked, estimated=False), joint.point.weights
@@ -154,7 +170,7 @@ def examined(modes: Modes) -> MatrixEvidence:
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
-    covariance, of_sensors = stated_errors(joint, noise)
+    covariance, of_sensors = fitted.covariance, dict(fitted.sensor_errors)
     excess = max(excess, unequal)
     if doubtful or excess > 1.0:
         # Model errors are no smaller in the fit to all modes than in one half.
@@ -218,7 +234,8 @@ def fit_matrix(
     off their magnets and the shell is not known, it is at least that of one half.
 
     ``base`` is the estimate of `ml`, with the findings about the matrix itself. ``motion`` is
-    (n, n) as for `modes_of`. ``where_it_holds``: return ``base`` if too many actuators are odd.
+    (n, n) as for `modes_of`. ``where_it_holds``: return ``base`` if too many actuators are odd, or
+    if noise alone makes the errors larger.
     Raises RankDeficient, NotConverged.
     """
     layout, facts = screened.matrix.layout, screened.facts
@@ -237,9 +254,15 @@ def fit_matrix(
             (),
             tuple(acceptance.refusals(acceptance.Evidence(odd=odd, transposed=transposed))),
         )
-    modes = modes_of(layout, facts, motion, keep)
-    found = examined(modes)
-    joint, n = found.joint, len(keep)
+    modes, n = modes_of(layout, facts, motion, keep), len(keep)
+    fitted = fit_jointly(modes)
+    of_balance = float(np.median(_relative_errors(base, n)[keep]))
+    by_noise = float(np.median(np.sqrt(np.diag(fitted.covariance))))
+    if where_it_holds and acceptance.surely_worse(by_noise, of_balance):
+        worse = acceptance.Evidence(error=by_noise, error_by_balance=of_balance)
+        return base, (), tuple(acceptance.refusals(worse))
+    found = examined(modes, fitted)
+    joint = found.joint
     by_balance = base.values[:n]
     alpha = by_balance.copy()
     positive = by_balance[keep & (by_balance > 0.0)]  # some are, as their mean is 1
@@ -263,10 +286,16 @@ def fit_matrix(
         diagnosis=replace(base.diagnosis, warnings=tuple(said)),
         sensors=acceptance.sensors_of(joint, found.sensor_errors, ids, keep),
     )
-    stated, of_balance = (
-        float(np.median((np.sqrt(np.diag(each.reading_covariance)[:n]) / each.values[:n])[keep]))
-        for each in (estimate, base)
+    evidence = replace(
+        found.evidence,
+        odd=odd,
+        transposed=transposed,
+        error=float(np.median(_relative_errors(estimate, n)[keep])),
+        error_by_balance=of_balance,
     )
-    evidence = replace(found.evidence, odd=odd, transposed=transposed)
-    evidence = replace(evidence, error=stated, error_by_balance=of_balance)
     return estimate, found.imbalances, tuple(acceptance.refusals(evidence))
+
+
+def _relative_errors(estimate: Estimate, n: int) -> Array:
+    """Return (n,) E_STAT relative to alpha."""
+    return np.asarray(np.sqrt(np.diag(estimate.reading_covariance)[:n]) / estimate.values[:n])
