@@ -28,7 +28,6 @@ from truenewton.records.tables import (
     MATRICES,
     check_size,
     columns_by_id,
-    name_and_unit,
     wide_rows,
 )
 from truenewton.rounding import listed
@@ -187,15 +186,15 @@ def _load_of(given: LoadFiles) -> Load:
 
 def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) -> dict[str, Any]:
     """Return the arrays of the cycle in a file."""
-    columns, values, there = described.columns, dict[str, Any](), _columns_in(stored)
+    columns, values = described.columns, dict[str, Any]()
     for name in (field.name for field in fields(Columns)):
         wanted = getattr(columns, name)
         if not wanted:
             continue
         if name in MATRICES and not columns.actuator:
-            item = _matrix_in(stored, there, wanted, actuators)
+            item = _matrix_in(stored, wanted, actuators)
         else:
-            item = _column_in(stored, there, wanted)
+            item = _column_in(stored, wanted)
         values[name] = item.values if name == "actuator" else require_numbers(item, str(wanted))
         if unit := item.unit or getattr(described.units, name, ""):
             values[name] = in_unit(item.values, Cycle.QUANTITIES[name].unit, name, has=unit)
@@ -207,45 +206,33 @@ def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) ->
     return wide_rows(values, actuators) if columns.actuator else values
 
 
-def _columns_in(stored: Stored) -> dict[str, Item]:
-    """Return columns and arrays by name, also in lower case, without groups of HDF5 or the unit."""
-    found: dict[str, Item] = {}
-    for name, item in {**stored.arrays, **stored.columns}.items():
-        plain, unit = name_and_unit(name)
-        item = Item(item.values, item.unit or unit)
-        short = (plain.lower(), name.lower().rsplit("/", 1)[-1], name.lower())
-        found = dict.fromkeys(short, item) | found | {name: item}
-    return found
-
-
-def _column_in(stored: Stored, there: dict[str, Item], wanted: str | int) -> Item:
+def _column_in(stored: Stored, wanted: str | int) -> Item:
     """Return a column by its name or number."""
     if isinstance(wanted, int):
         return Item(_table(stored, wanted)[:, wanted - 1])
-    item = there.get(wanted) or there.get(wanted.lower())
-    if item is None:
+    known = stored.names.get(wanted) or stored.names.get(wanted.casefold())
+    if known is None:
         raise FormatError(
             f"there is no column '{wanted}'",
             remedy="name the columns of the file in the table [columns] of the description;"
-            f" the file has {listed(filter(None, (*stored.arrays, *stored.columns)), 12)}",
+            f" the file has {listed(filter(None, stored.every), 12)}",
         )
-    return Item(np.squeeze(item.values), item.unit)
+    name, unit = known
+    return Item(np.squeeze(stored.every[name].values), stored.every[name].unit or unit)
 
 
-def _matrix_in(
-    stored: Stored, there: dict[str, Item], wanted: str | int, actuators: Layout
-) -> Item:
+def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout) -> Item:
     """Return (rows, n) values: columns from a number on, columns of each actuator, or an array."""
     n = actuators.n
     if isinstance(wanted, int):
         return Item(_table(stored, wanted + n - 1)[:, wanted - 1 : wanted - 1 + n])
     if "{id}" in wanted:
-        names = columns_by_id(wanted, actuators, there)
-        items = [_column_in(stored, there, name) for name in names]
+        names = columns_by_id(wanted, actuators, stored.names)
+        items = [_column_in(stored, name) for name in names]
         for name, item in zip(names, items, strict=True):
             require_numbers(item, name)
         return Item(np.stack([item.values for item in items], axis=1), items[0].unit)
-    item = _column_in(stored, there, wanted)
+    item = _column_in(stored, wanted)
     if item.values.ndim != 2 or item.values.shape[1] != n:
         raise FormatError(
             f"'{wanted}' has shape {item.values.shape}",

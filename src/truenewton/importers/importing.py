@@ -266,9 +266,8 @@ def _names(
     if ids is None:
         return channels
     if isinstance(ids, str | os.PathLike):
-        stored = read_stored(ids)
-        every = [item.values for item in (*stored.arrays.values(), *stored.columns.values())]
-        return integers_or_texts(every[0].ravel() if every else [])
+        every = [item.values.ravel() for item in read_stored(ids).every.values()]
+        return integers_or_texts(every[0] if every else [])
     return integers_or_texts(ids)
 
 

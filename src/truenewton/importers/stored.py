@@ -15,6 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
 from truenewton.files.hdf5 import import_h5py, unit_of
 from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain, refuse_too_large
-from truenewton.records.tables import LENGTHS
+from truenewton.records.tables import LENGTHS, columns_in
 from truenewton.rounding import counted
 
 COMMENT = "#;%!"
@@ -58,6 +59,16 @@ class Stored:
     arrays: Mapping[str, Item] = field(default_factory=dict)
     columns: Mapping[str, Item] = field(default_factory=dict)
     header: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def every(self) -> dict[str, Item]:
+        """Arrays and columns."""
+        return {**self.arrays, **self.columns}
+
+    @cached_property
+    def names(self) -> dict[str, tuple[str, str]]:
+        """Their names, also short ones (`columns_in`)."""
+        return columns_in(self.every)
 
 
 def read_stored(path: str | os.PathLike[str]) -> Stored:

@@ -92,15 +92,18 @@ def _size(actuators: Layout, weight: float) -> tuple[float, float]:
 
 
 def columns_in(table: Any) -> dict[str, tuple[str, str]]:
-    """Return the columns of a table or dictionary, by name also in lower case without its unit.
+    """Return the columns of a table or dictionary by name; also in lower case, without the unit.
 
-    Each is the name in the table, and the unit in it or ''. There are none in other data.
+    Each is the name in the table, and the unit in it or ''. There are none in other data. A name of
+    HDF5 is found without its group, too.
     """
     every = getattr(table, "columns", table if isinstance(table, Mapping) else ())
     names = [name for name in every if isinstance(name, str)]
-    parts = [(name, *name_and_unit(name)) for name in names]
-    short = {plain.casefold(): (name, unit) for name, plain, unit in parts}
-    return short | {name: (name, unit) for name, _, unit in parts}
+    known, found = {name: name_and_unit(name) for name in names}, dict[str, tuple[str, str]]()
+    for name, (plain, unit) in known.items():
+        for short in (name, plain, name.rsplit("/", 1)[-1]):
+            found.setdefault(short.casefold(), (name, unit))
+    return found | {name: (name, unit) for name, (_, unit) in known.items()}
 
 
 def name_and_unit(name: str) -> tuple[str, str]:
