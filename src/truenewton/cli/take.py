@@ -229,7 +229,6 @@ def run_import(
         None, help="Use the positions of this mirror (name or TOML file)."
     ),
     ids: str | None = typer.Option(None, help="IDs of the rows: 17,18,... or a file with them."),
-    exclude: str | None = options.EXCLUDE,
     dataset: str | None = typer.Option(None, help="Name of the matrix in a file with several."),
     shell: int | None = typer.Option(None, help="Number of the shell (from 1), of several."),
     transpose: bool = typer.Option(False, "--transpose", help="The matrix is stored transposed."),
@@ -249,7 +248,7 @@ def run_import(
         raise typer.BadParameter("give a matrix, the description of a campaign, or --example")
     of_matrix: dict[str, Any] = {
         "unit": unit, "lengths": lengths, "curvature": curvature, "arc": arc, "mirror": mirror,
-        "ids": ids, "exclude": exclude, "dataset": dataset, "shell": shell, "transpose": transpose,
+        "ids": ids, "dataset": dataset, "shell": shell, "transpose": transpose,
         "date": date, "instrument": instrument,
     }  # fmt: skip
     if matrix.suffix.lower() == ".toml":
@@ -270,7 +269,6 @@ def run_import(
         of_matrix |= {
             "mirror": None if mirror is None else mirror_from(mirror),
             "ids": ids if ids is None or by_file else options.ids(ids, "--ids"),
-            "exclude": options.ids(exclude, "--exclude"),
         }
         made = stiffness_from(matrix, coordinates, **of_matrix)
         if output is not None:

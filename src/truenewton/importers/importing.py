@@ -84,7 +84,6 @@ def stiffness_from(
     arc: bool = False,
     mirror: Any = None,
     ids: PathLike | Sequence[int | str] | None = None,
-    exclude: Sequence[int | str] = (),
     dataset: str | None = None,
     shell: int | None = None,
     transpose: bool = False,
@@ -111,8 +110,6 @@ def stiffness_from(
         actuators: rows are matched by ID or channel.
     ids, dataset
         (n,) IDs of rows, or a file of them; name of the matrix in a file with several.
-    exclude
-        IDs of actuators to disable, such as bad channels.
     shell, transpose
         Number of one of several shells, from 1; whether the file contains the transposed matrix.
     date, instrument
@@ -138,7 +135,7 @@ def stiffness_from(
         when, how = date_of(given, date)
     name = instrument or given.name
     known = given.mirror.name if given.mirror else None
-    check = partial(_checked, k, name=name, when=when, exclude=exclude, mirror=known)
+    check = partial(_checked, k, name=name, when=when, mirror=known)
     record, judged, positions, noted = _numbered(_first_that_fits(given, ways, check), given, ids)
     of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []
@@ -174,7 +171,6 @@ def _checked(
     positions: Positions,
     name: str,
     when: datetime.datetime,
-    exclude: Sequence[int | str],
     mirror: str | None,
 ) -> Checked:
     """Return an (n, n) matrix [N/m] with its positions, checked; lines on what was left out."""
@@ -192,7 +188,6 @@ def _checked(
     of = layout(
         positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
     )
-    of = replace(of, enabled=of.enabled & ~np.isin(of.id, of.ids_of(exclude)))
     record = StiffnessMatrix(name, when, of, k, mirror=mirror or None)
     judged = judge(record, MIN_ORDER_SHARE if mirror is None else MIN_EXPLAINED_COUPLING)
     record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))

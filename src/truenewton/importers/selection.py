@@ -201,7 +201,7 @@ def _axis_and_unit(name: str) -> tuple[str, str]:
 
 
 def require_numbers(item: Item, name: str) -> NDArray[np.float64]:
-    """Return the numbers of a column; raise FormatError if it contains words."""
+    """Return the (...,) numbers of a column; raise FormatError if it contains words."""
     if item.values.dtype.kind == "U":
         word = next(text for text in item.values.ravel().tolist() if not NUMBER.fullmatch(text))
         raise FormatError(f"column {name} contains '{word}'", remedy="give numbers in it")
