@@ -71,7 +71,8 @@ def test_a_place_is_the_same_to_a_micrometre_and_else_named():
     assert layout.difference(replace(layout, id=np.arange(14))) == (
         "ID of row 1: 0 and 1; and 13 more"
     )
-    assert layout.other_actuators(rings([0.1], [5])) == "5 and 14 actuators"
+    apart = layout.other_actuators(rings([0.1], [5]))
+    assert apart == "5 and 14 actuators; only one has 6, 7, 8 and 6 more"
     off = replace(layout, enabled=np.arange(14) != 3)
     assert not layout.other_actuators(off)
     assert not layout.same_as(off)

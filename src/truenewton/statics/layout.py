@@ -225,7 +225,7 @@ class Layout:
         if self.n != other.n:
             more, less = (self, other) if self.n > other.n else (other, self)
             lost = more.shown[~np.isin(more.names, less.names)]
-            only = f"; only one has {listed(lost, 8)}" if lost.size else ""
+            only = f"; only one has {listed(lost, 3)}" if lost.size else ""
             return f"{other.n} and {self.n} actuators{only}"
         farther = max(
             "xy", key=lambda name: np.abs(getattr(self, name) - getattr(other, name)).max()
