@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 import truenewton as tn
 from studies.matrices import without_polynomial
+from truenewton.figures.maps import name_point
 from truenewton.figures.style import ACCENT, COLUMN, INK
 
 FAR = 4.0  # robust standard deviations, beyond which an actuator or a sensor is named
@@ -99,22 +100,24 @@ def of_sensors(made):
 
 def draw_alpha(made, apart, efficiency, path):
     """Draw alpha on the map, and its small scale against the efficiency of the magnets."""
-    figure = Figure(figsize=(2.1 * COLUMN, 1.05 * COLUMN), layout="constrained")
+    figure = Figure(figsize=(2.1 * COLUMN, 1.2 * COLUMN), layout="constrained")
     left, right = figure.subplots(1, 2)
     made.plot(ax=left)
     right.plot(100 * efficiency, 100 * apart, "o", color=ACCENT, markersize=1.8)
     slope = np.polyfit(100 * efficiency, 100 * apart, 1)
     ends = np.array([100 * efficiency.min(), 100 * efficiency.max()])
     right.plot(ends, np.polyval(slope, ends), color=INK, linewidth=0.8)
-    right.set_xlabel("log magnet efficiency, smooth part taken out (%)", fontsize=8)
-    right.set_ylabel(r"$\alpha$, smooth part taken out (%)", fontsize=8)
+    right.set_xlabel("log magnet efficiency, smooth part removed (%)", fontsize=8)
+    right.set_ylabel("α, smooth part removed (%)", fontsize=8)
     right.tick_params(labelsize=7)
+    far = int(np.abs(apart).argmax())
+    name_point(right, made.layout.id[far], 100 * efficiency[far], 100 * apart[far])
     figure.savefig(path, dpi=150)
 
 
 def draw_sensors(made, path):
     """Draw the gains on the map, and from each magnet to its sensor, thirty times as long."""
-    figure = Figure(figsize=(2.1 * COLUMN, 1.05 * COLUMN), layout="constrained")
+    figure = Figure(figsize=(2.1 * COLUMN, 1.2 * COLUMN), layout="constrained")
     left, right = figure.subplots(1, 2)
     made.plot("sensor_gain", ax=left)
     layout = made.layout
@@ -126,7 +129,7 @@ def draw_sensors(made, path):
     right.quiver([0.35], [-0.43], [0.03], [0.0], angles="xy", scale_units="xy", scale=1.0,
                  color=INK, width=3e-3)  # fmt: skip
     right.annotate("1 mm", (0.365, -0.44), ha="center", va="top", fontsize=7)
-    right.set_title("from the magnet to its sensor", fontsize=8)
+    right.set_title("offset of each sensor from its magnet, seen along -z", fontsize=8)
     right.set_aspect("equal")
     right.set_axis_off()
     figure.savefig(path, dpi=150)

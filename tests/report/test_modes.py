@@ -106,8 +106,9 @@ def test_the_maps_hold_each_chosen_mode_at_its_place(p45_findings):
     [dots] = ax.collections
     part, (x, y) = np.asarray(dots.get_array()), np.asarray(dots.get_offsets()).T
     chosen = [0, 1, 2, 3, 4, 5, 6, 7, 11, 18, 28, 44]
-    *titles, view = [text.get_text() for text in ax.texts]
+    *titles, colours, view = [text.get_text() for text in ax.texts]
     assert view == "seen along -z"
+    assert "purple -1, brown +1" in colours
     assert [int(title.split(":")[0]) for title in titles] == [k + 1 for k in chosen]
     assert len(part) == 45 * len(chosen)
     for place, k in enumerate(chosen):

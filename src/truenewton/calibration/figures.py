@@ -16,6 +16,7 @@ from truenewton.estimation.findings.estimate import Scale
 from truenewton.figures.maps import mark_rings, name_rings, numbers_by_ring, plot_layout
 from truenewton.figures.style import (
     ACCENT,
+    ALARM,
     ALPHA,
     BY_RING,
     COLUMN,
@@ -46,11 +47,13 @@ def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
     The bars are three standard uncertainties from the readings (3 E_STAT), as in the paper, unless
-    all are smaller than the symbols. A figure of its own has a second panel with the errors.
+    all are smaller than the symbols. Reversed coils are marked below: they would stretch the axis.
+    A figure of its own has a second panel with the errors.
     """
     own = ax is None
     with styled_axes(ax, 1.2 if own else 0.75) as ax:
-        layout, alpha = calibration.layout, calibration.column("alpha")
+        layout, every = calibration.layout, calibration.column("alpha")
+        alpha = np.where(every > 0.0, every, np.nan)
         numbers, size = numbers_by_ring(layout), 1.8 if layout.n <= NAMED else 1.0
         error = 3 * calibration.column("statistical_error")
         points = 0.35 * 72 * COLUMN / (np.nanmax(alpha) - np.nanmin(alpha))  # for one unit of alpha
@@ -61,8 +64,8 @@ def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
             label = "α"
         else:
             label = "α; bars of ±3 σ_stat would be smaller than the symbols"
-        every: Mapping[int, Any] = by_number(calibration)
-        if {one.scale for one in every.values()} == {Scale.MEAN_ONE}:
+        parts: Mapping[int, Any] = by_number(calibration)
+        if {one.scale for one in parts.values()} == {Scale.MEAN_ONE}:
             label += "; mean α = 1 by convention"
         ax.plot(numbers, alpha, "o", color=ACCENT, markersize=size, label=label)
         mark_rings(ax, layout)
@@ -72,6 +75,12 @@ def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
             ax.annotate(str(layout.id[extreme]), (numbers[extreme], alpha[extreme]),
                         xytext=(0, 3 * up), textcoords="offset points", fontsize=6.0, ha="center",
                         va="bottom" if up > 0 else "top")  # fmt: skip
+        for k in np.flatnonzero(every < 0.0):
+            ax.plot(numbers[k], 0.03, "v", color=ALARM, markersize=3.0,
+                    transform=ax.get_xaxis_transform())  # fmt: skip
+            ax.annotate(f"{layout.id[k]}: {every[k]:.2f}", (numbers[k], 0.03), xytext=(3, 0),
+                        xycoords=ax.get_xaxis_transform(), textcoords="offset points",
+                        fontsize=6.0, va="center", color=ALARM)  # fmt: skip
         ax.set_ylabel(ALPHA)
         ax.margins(y=0.16)  # for the names of rings and extremes
         legend_above(ax)

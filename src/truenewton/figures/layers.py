@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -75,8 +76,12 @@ class Layer:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Ends of the colours; of more than 100 actuators the outer 1 % at each end are clipped."""
-        known = self.values[np.isfinite(self.values)]
+        """Ends of the colours, clipped at the outer 1 % at each end of more than 100 actuators.
+
+        Diverging colours leave outliers out: one reversed coil would make all others equal.
+        """
+        inner = np.delete(self.values, self.outliers) if self.diverging else self.values
+        known = inner[np.isfinite(inner)]
         low, high = np.percentile(known, [1.0, 99.0] if known.size > 100 else [0.0, 100.0])
         if self.diverging:
             own = max(high - self.centre, self.centre - low)
@@ -147,6 +152,8 @@ class Layer:
             note = self.colour_note(low, high)
             bar.set_label(f"{self.title}\n{note}" if note else self.title)
             bar.outline.set_linewidth(0.4)
+            bar.locator = MaxNLocator(6, steps=[1, 2, 5, 10])
+            bar.formatter = FuncFormatter(lambda value, _: f"{value:g}")
             if bears_names(layout) or (annotate and layout.n <= NAMED):
                 self._write_names(ax, layout, dots, annotate=annotate)
             else:

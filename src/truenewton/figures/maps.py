@@ -193,7 +193,8 @@ def shown_rings(radii: Sequence[float]) -> list[tuple[int, float]]:
     """Return numbers and radii of the rings that have room for their number, the last included."""
     shown: list[tuple[int, float]] = []
     for k in range(len(radii), 0, -1):
-        if not shown or shown[-1][1] - radii[k - 1] > 0.075 * radii[-1]:
+        room = 0.075 if k < 10 else 0.12  # of two digits
+        if not shown or shown[-1][1] - radii[k - 1] > room * radii[-1]:
             shown.append((k, radii[k - 1]))
     return shown[::-1]
 

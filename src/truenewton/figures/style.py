@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 COLUMN = 8.4 / 2.54  # width of the paper's column [inch]
 MILLIMETRE = 1e-3
@@ -38,6 +38,7 @@ STYLE: Any = {
 }
 # Fonts are embedded when a figure is saved, not when it is drawn. Journals take TrueType (42).
 FONTS: Any = {"pdf.fonttype": 42, "ps.fonttype": 42}
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")  # without formulas
 LONGEST = 40  # letters of a label; longer ones would leave no room for the axes
 NAMED = 100  # actuators; more have no names on a map
 BY_RING = 300  # actuators; the axis of more has rings as ticks, not actuators
@@ -96,12 +97,20 @@ def legend_above(ax: Axes) -> None:
 
 
 def plain_ticks(*axes: Axis) -> None:
-    """Label ticks of logarithmic axes at 1, 2 and 5 (over many decades at 1), without formulas."""
+    """Label ticks of logarithmic axes at 1, 2 and 5, of many decades at 1, without formulas."""
     for axis in axes:
         low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300 * low else (1.0,)))
-        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        some = (1.0,) if high > 300 * low else (1.0, 2.0, 5.0) if high > 5 * low else range(1, 10)
+        axis.set_major_locator(LogLocator(subs=some))
+        axis.set_major_formatter(FuncFormatter(_plain_number))
         axis.set_minor_locator(NullLocator())  # each tick takes as long as a label
+
+
+def _plain_number(value: float, _: int) -> str:
+    """Return the number of a tick, '0.001' or '2·10⁻⁶'."""
+    factor, e, exponent = f"{value:g}".partition("e")
+    power = str(int(exponent)).translate(RAISED) if e else ""
+    return factor if not e else f"10{power}" if factor == "1" else f"{factor}·10{power}"
 
 
 def label_line(ax: Axes, level: float, text: str) -> None:

@@ -65,8 +65,9 @@ def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
         ax.set_xlim(-0.5 * MAP_WIDTH * reach, (MAPS_PER_ROW - 0.5) * MAP_WIDTH * reach)
         ax.set_ylim((-rows + 0.55) * MAP_HEIGHT * reach, 0.55 * MAP_HEIGHT * reach)
         ax.set_aspect("equal")
-        ax.text(1.0, 0.0, "seen along -z", transform=ax.transAxes, fontsize=6.0, ha="right",
-                va="bottom")  # fmt: skip
+        legend = "displacement / largest of the mode: purple -1, brown +1"
+        for x, text, side in ((0.0, legend, "left"), (1.0, "seen along -z", "right")):
+            ax.text(x, 0.0, text, transform=ax.transAxes, fontsize=6.0, ha=side, va="top")
         ax.set_axis_off()
     return ax
 
@@ -93,11 +94,11 @@ def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
             ax.semilogy(number, cost.power_mean, color=colour, linestyle=":")
         ax.plot([], [], color=INK, label="worst coil")
         ax.plot([], [], color=INK, linestyle=":", label="mean of all coils")
+        if np.isfinite(limits.power):
+            label_line(ax, limits.power, "limit")
         least = min(cost.power_mean.min() for cost in base.costs)
         most = max(cost.power_worst.max() for cost in base.costs)
         ax.set_ylim(bottom=max(0.8 * least, MIN_POWER * most))
-        if np.isfinite(limits.power):
-            label_line(ax, limits.power, "limit")
         plain_ticks(ax.yaxis)
         ax.set_xlabel("number of modes N")
         ax.set_ylabel("power of a coil (W)")

@@ -189,7 +189,7 @@ def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
         ax.semilogy([1], values[:1], "D", color=ALARM, markersize=3.0, label="α itself")
         ax.semilogy(np.arange(2, values.size + 1), values[1:], "o", color=ACCENT, markersize=1.8,
                     label="other patterns")  # fmt: skip
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
         plain_ticks(ax.yaxis)
         ax.set_xlabel("pattern of α, number")
         ax.set_ylabel("singular value" + (" / noise" if evidence.in_noise else ""))

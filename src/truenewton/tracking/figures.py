@@ -60,15 +60,18 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
         low = PERCENT * (population.mean * inside - 2 * population.spread * np.abs(inside))
         high = PERCENT * (population.mean * inside + 2 * population.spread * np.abs(inside))
         ax.fill_between(origin + unit * inside, low, high, color=FAINT, alpha=0.35, linewidth=0,
-                        label="population, mean ± 2 spreads")  # fmt: skip
+                        label="mean ± 2 spreads")  # fmt: skip
+        few = np.count_nonzero(on) <= NAMED
         lines = ax.plot(shown_ends, PERCENT * np.outer(ends, slope[on & ~outlying]),
-                        color=ACCENT, linewidth=0.25, alpha=0.6)  # fmt: skip
+                        color=ACCENT, linewidth=0.25, alpha=0.6 if few else 0.15)  # fmt: skip
         for line in lines[:1]:
             line.set_label("law of an actuator")
-        if np.count_nonzero(on) <= NAMED:
+        if few:
             ax.plot(shown_x, y[:, on & ~outlying], "o", color=INK, markersize=1.0, alpha=0.6,
                     markeredgewidth=0)  # fmt: skip
-        ax.plot(shown_ends, PERCENT * population.mean * ends, color=INK, linewidth=1.0)
+            ax.plot([], [], "o", color=INK, markersize=2.0, label="α of a day")
+        ax.plot(shown_ends, PERCENT * population.mean * ends, color=INK, linewidth=1.0,
+                label="mean")  # fmt: skip
         first, last = shown_ends
         ax.set_xlim(first, last + 0.06 * (last - first))  # room for names
         order = np.argsort(x)

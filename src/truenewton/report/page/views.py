@@ -182,6 +182,14 @@ def alpha_by_ring(
                  nonselection_line_alpha=0.2)  # fmt: skip
     _actuator_points(plot, source, layout, "alpha", layers)
     plot.yaxis.axis_label = ALPHA
+    if (reversed_coils := np.flatnonzero(alpha < 0.0)).size:  # they would stretch the axis
+        plot.y_range.end = 1.02 * np.nanmax(alpha)
+        plot.y_range.start = 0.94 * np.nanmin(alpha[alpha > 0.0])
+        numbers, ids = numbers_by_ring(layout), layout.id
+        for k in reversed_coils.tolist():
+            plot.add_layout(Label(x=int(numbers[k]), y=2, y_units="screen", text_color=ALARM,
+                                  text=f"▼ {ids[k]}: {alpha[k]:.2f}", text_font=FONT,
+                                  text_font_size="0.75em"))  # fmt: skip
     return plot
 
 
@@ -303,7 +311,8 @@ def calibration_views(
     means = ", ".join(f"{k}: {np.nanmean(alpha[groups == k]):.3f}" for k in known)
     by = f"by {group}" if len(known) > 1 else "by actuator"
     by_ring = View("rings", f"Alpha {by}", alpha_by_ring(source, c, layers),
-                   "Bars: ±3 σ_stat.", f"Mean alpha by {group}: {means}.")  # fmt: skip
+                   "Bars: ±3 σ_stat, hidden if smaller than the symbols.",
+                   f"Mean alpha by {group}: {means}.")  # fmt: skip
     return _with_map("Map of the mirror", source, c.layout, layers, edges, by_ring)
 
 
