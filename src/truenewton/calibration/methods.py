@@ -246,7 +246,7 @@ def calibrate(
     Examples
     --------
     >>> tn.calibrate(campaign)
-    <Calibration of P45: 45 actuators, alpha 0.715 .. 1.1, typical error 0.016, ...>
+    <Calibration of P45: 45 actuators, alpha 0.715 .. 1.1, typical error 1.7 %, ...>
     """
     data = measured_from(data, client)
     method, options = resolve_method(data, method, population=population, motion=motion)

@@ -16,6 +16,7 @@ from truenewton.errors import FormatError
 from truenewton.estimation.findings.estimate import (
     EstimateFacts,
     Scale,
+    typical,
 )
 from truenewton.estimation.findings.finding import Finding, Verdict
 from truenewton.estimation.matrix.facts import Symmetry
@@ -33,7 +34,7 @@ from truenewton.records.cycle import Source
 from truenewton.records.file import ID, INSTRUMENT, NUMBER, NZ, SOURCES, X, Y
 from truenewton.records.parts import Parts
 from truenewton.records.result import Result, verdict_of
-from truenewton.rounding import counted
+from truenewton.rounding import counted, percent
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load, check_load
 
@@ -183,7 +184,8 @@ class Calibration(Result, EstimateFacts):
         return (
             f"<Calibration of {self.instrument}: {counted(int(np.count_nonzero(on)), 'actuator')},"
             f" alpha {self.alpha[on].min():.3g} .. {self.alpha[on].max():.3g}, typical error"
-            f" {np.median(self.error[on]):.2g}, method {self.method}, scale {self.scale}>"
+            f" {percent(typical(self.error, self.alpha))}, method {self.method},"
+            f" scale {self.scale}>"
         )
 
     @cached_property

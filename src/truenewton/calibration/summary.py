@@ -178,8 +178,10 @@ def summary_rows(calibration: AnyCalibration) -> Iterator[Row]:
         yield from _of_parts(c)
         return
     yield from _results(c)
+    if c.unseen:
+        yield "undetectable here", "", "not in E_ALPHA"
     for each in c.unseen:
-        yield f"if {each.name}", percent(each.relative), "undetectable here, not in E_ALPHA"
+        yield f"  if {each.name}", percent(each.relative), ""
     yield from _details(c)
 
 

@@ -70,8 +70,9 @@ def headline_of(findings: Reported) -> Headline:
         disabled = named("actuator", c.layout.shown[~on].tolist(), 8)
         which = f"{on.sum()} of the {which.removeprefix('all ')} ({disabled} disabled)"
     sentence = f"{known} of {which} is known, typically to {percent(typical(c.error, c.alpha))}."
-    for note in c.verdict.notes:
-        sentence += f" {as_sentences(note)}"
+    remedies = dict.fromkeys(note.remedy for note in c.verdict.notes)
+    for words in (*(note.fault for note in c.verdict.notes), *filter(None, remedies)):
+        sentence += f" {as_sentences(Fault(words, ''))}"
     numbers = tuple((name.strip(), *rest) for name, *rest in islice(summary_rows(c), 3))
     return _headline(c.verdict, sentence, numbers)  # type: ignore[arg-type]
 

@@ -254,7 +254,7 @@ def leverage(scaled_arms: Array, variance: Array) -> Array:
 
 
 _SMOOTH = (
-    ("piston-like", lambda x, y: (np.ones_like(x + y),)),
+    ("uniform", lambda x, y: (np.ones_like(x + y),)),
     ("tilt-like", lambda x, y: (x, y)),
     ("defocus-like", lambda x, y: (x**2 + y**2,)),
     ("astigmatism-like", lambda x, y: (x**2 - y**2, x * y)),

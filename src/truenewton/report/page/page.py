@@ -364,14 +364,14 @@ def _budget(c: Calibration) -> Section:
             f" the readings, is {percent(typical(c.error, c.alpha))}."
         )
         return Section("budget", "Error budget", (words,))
-    unseen = tuple(
-        f"Not included, undetectable here: {percent(error.relative)} if {error.name}."
-        for error in c.unseen
-    )
+    unseen = tuple((f"if {error.name}", percent(error.relative)) for error in c.unseen)
     rows = ((what, percent(part)) for what, part in scale_budget(c.scale_errors).items())
-    table = TextTable("Sources of the scale error", ("source", "relative error"), tuple(rows))
+    tables = (
+        TextTable("Undetectable here, not in E_ALPHA", ("assumption", "error"), unseen, wraps=True),
+        TextTable("Sources of the scale error", ("source", "relative error"), tuple(rows)),
+    )
     caption = "Of a typical actuator, one sigma."
-    return Section("budget", "Error budget", unseen, "budget", caption, tables=(table,))
+    return Section("budget", "Error budget", (), "budget", caption, tables=tables)
 
 
 def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Section:
