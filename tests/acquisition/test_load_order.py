@@ -266,18 +266,18 @@ def test_a_folder_of_an_older_version_goes_on_load_after_load(tmp_path):
 def test_the_plan_says_what_each_order_costs_and_a_third_load(inside, tmp_path):
     path = tmp_path / "plan.toml"
     path.write_text(template(), encoding="utf-8")
-    code, out, err = inside("plan", path)
+    assert len(inside("plan", path, "--target", "0.001")[1].splitlines()) <= 20
+    code, out, err = inside("plan", path, "--verbose")
     assert (code, err) == (0, "")
     for words in (
         "order of the loads      bare 1, ring 1-3, bare 2-4, ring 4",
         "'ring' after 30 min, 'bare' after 61 min, 'ring' after 92 min",
-        "alpha drifts by 0.30 % and zeros by 10 uN; 10 uN per mounting",
+        "(drift in an hour: alpha 0.30 %, zeros 10 uN; mounting: 10 uN)",
         "one after the other 0.70 %",
         "92 min planned",
-        "turns = 3 (2 more mountings in 60 min give 1.7 %; more cycles in that time give 1.9 %)",
-        "the scale error from 1.7 % to 1.2 %.",
-        "It detects an error of 21 mN (7.4 % of the scale) in 'ring'",
-        "It takes 91 min and 3 more load changes",
+        "turns = 3. Scale error, drift included: 1.7 % with 2 more mountings (60 min), 1.9 % with",
+        "from 1.7 % to 1.2 %, and detects an error of 21 mN in 'ring',",
+        "91 min more 3 load changes; detects 7.4 % of the scale",
     ):
         assert " ".join(words.split()) in " ".join(out.split())
     values = json.loads(inside("plan", path, "--json")[1])
@@ -289,7 +289,7 @@ def test_the_plan_says_what_each_order_costs_and_a_third_load(inside, tmp_path):
     assert values["third_load"]["seen"] == pytest.approx(0.0213, rel=0.02)
     old = template().replace("turns = 0 ", "# turns = 0 ", 1)
     path.write_text(old, encoding="utf-8")
-    out = inside("plan", path)[1]
+    out = inside("plan", path, "--verbose")[1]
     for words in ("bare 1-4, ring 1-4", "32 min  planned", "recommended: turns = 3"):
         assert words in out
     path.write_text(old.partition('[[loads]]\nname = "ring"')[0], encoding="utf-8")

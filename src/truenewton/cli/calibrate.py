@@ -260,7 +260,8 @@ def run_track(
             law.write(output, overwrite=overwrite)
         if figures is not None:
             drawn = write_drawn(tracking_figures(law), figures, overwrite=overwrite)
+    written = drawn if quiet or not figures else [figures]
     print_result(
-        shown, output, *drawn, details=table_of(law), values=numbers,
+        shown, output, *written, details=table_of(law), values=numbers,
         schema=schema_of("track", law), json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip

@@ -40,6 +40,7 @@ def run_plan(
     ),
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    verbose: bool = options.VERBOSE,
     quiet: bool = options.QUIET,
 ) -> None:
     """Predict errors, time, forces and gap of a campaign, and how to reach a target error."""
@@ -62,7 +63,7 @@ def run_plan(
     if output is not None:
         raise typer.BadParameter("-o requires --new; for a figure, use --plot FILE")
     from truenewton.planning.plan_prediction import predict_plan, suggest_changes
-    from truenewton.planning.summary import change_lines, lines, values
+    from truenewton.planning.summary import change_lines, detail_lines, lines, values
 
     refuse_existing(plot, overwrite=overwrite)
     with busy("planning"):
@@ -76,8 +77,10 @@ def run_plan(
         write_figure(plot_plan(outcome, target), plot, overwrite=overwrite)
     shown = (*lines(outcome), *change_lines(target, changes))
     drawn = () if plot is None else (plot,)
-    numbers = values(outcome, target, changes)
-    print_result(shown, *drawn, values=numbers, schema="plan", json=json, quiet=quiet)
+    print_result(
+        shown, *drawn, details=detail_lines(outcome), values=values(outcome, target, changes),
+        schema="plan", json=json, quiet=quiet, verbose=verbose,
+    )  # fmt: skip
 
 
 def run_acquire(
@@ -303,7 +306,7 @@ def _print_matrix(
         then = f"the same command {'without' if transpose else 'with'} --transpose"
     elif not made.balanced and output is not None:
         then = _calibrating(output)
-        lines.append(f"  {'alpha':<13}calibrate finds it and its verdict")
+        lines.append(f"  {'alpha':<13}calibrate estimates it and states its verdict")
         if made.folder:
             alpha = shlex.join([str(_alpha_of(output)), "-o", "NEW-FOLDER"])
             export = f"truenewton export {shlex.quote(made.folder)} --calibration {alpha}"

@@ -104,7 +104,8 @@ def run_figures(
         written = write_figures(made, output, more=more, numbers=numbers, overwrite=overwrite)
     values = {"verdict": str(made.verdict), "written": [str(path) for path in written]}
     lines = [f"verdict: {made.verdict}"]
-    print_result(lines, *written, values=values, schema="figures", json=json, quiet=quiet)
+    shown = written if quiet else (output,)
+    print_result(lines, *shown, values=values, schema="figures", json=json, quiet=quiet)
 
 
 def run_modes(
@@ -135,6 +136,7 @@ def run_modes(
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    verbose: bool = options.VERBOSE,
     quiet: bool = options.QUIET,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within limits of power or force."""
@@ -144,7 +146,7 @@ def run_modes(
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modal_base import Budget
-    from truenewton.modal.summary import lines, values
+    from truenewton.modal.summary import detail_lines, lines, values
     from truenewton.modal.turbulence import Atmosphere
     from truenewton.reading import read_alpha, read_data
     from truenewton.records.file import SUFFIXES
@@ -182,10 +184,14 @@ def run_modes(
                 written += write_modes(found, output, within, overwrite=overwrite)
             if figures is not None:
                 written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
-    nothing = () if output or figures else (None,)
+    shown = list(lines(found, limits))
+    if output is not None and not quiet:
+        shown.append("  beside the modal base: stiffness (true, commanded), modes (ff_v_matrix),"
+                     " feed-forward (ff_matrix, ff_matrix_true)")  # fmt: skip
     print_result(
-        lines(found, limits), *written, *nothing, values=values(found, limits),
-        schema=schema_of("modes", found), json=json, quiet=quiet,
+        shown, *(written if quiet else filter(None, (output, figures)) if written else (None,)),
+        details=detail_lines(found), values=values(found, limits),
+        schema=schema_of("modes", found), json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip
 
 

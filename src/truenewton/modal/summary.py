@@ -13,11 +13,12 @@ from truenewton.files.values import Values
 from truenewton.modal.findings import ModalFindings, ModesComparison
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
-from truenewton.records.parts import Parts, has_parts
+from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import counted, percent, row, significant, table_lines
 
 NUMBERS = 8  # of modes, in the table
+DETAILS = "measured stiffness", "piston and tilts", "static forces", "fitting error"
 
 
 def stiffness_text(value: float) -> str:
@@ -124,7 +125,8 @@ def headline(findings: ModalFindings) -> str:
     base, c = findings.after, findings.calibration
     count = base.modes.stiffness.size
     return (
-        f"{base.matrix.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}"
+        f"{base.matrix.instrument}: {count} stiffness modes (alpha: method {c.method}, scale"
+        f" {c.scale})"
     )
 
 
@@ -173,21 +175,29 @@ def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> lis
         return [line for number in findings.numbers for line in of_each[number]]
     return [
         headline(findings),
-        *(row(name, text) for name, text in summary_rows(findings) if text),
-        *(_table(findings.after) if findings.after.costs else ()),
+        *(row(name, text) for name, text in summary_rows(findings) if text and name not in DETAILS),
         *(_within(findings, limits) if findings.after.costs else ()),
         row("verdict on alpha", str(findings.calibration.verdict)),
         *warning_lines(findings.warnings),
     ]
 
 
+def detail_lines(findings: ModalFindings | Parts[ModalFindings]) -> Iterator[str]:
+    """Yield the other rows, and the table of the number of modes, segment by segment."""
+    for number, one in by_number(findings).items():
+        if number:
+            yield f"segment {number}"
+        yield from (row(name, text) for name, text in summary_rows(one) if text and name in DETAILS)
+        yield from _table(one.after) if one.after.costs else ()
+
+
 def _table(base: ModalBase) -> Iterator[str]:
     """Yield the table of residual, force and power against the number of modes."""
     rows = cost_rows(base)
     power = ", power [W]" if math.isfinite(base.costs[0].efficiency) else ""
-    title = f"  residual wavefront [nm] of each base; stiffness modes: force [mN]{power}"
+    title = f"  rms wavefront [nm] left by N modes; force [mN]{power} of N stiffness modes:"
     cost = "rms force", "worst", "mean power", "worst", "total"
-    head = ("modes", *(each.base for each in base.costs), *cost)[: len(rows[0])]
+    head = ("N", *(each.base for each in base.costs), *cost)[: len(rows[0])]
     return table_lines(title, head, *rows)
 
 

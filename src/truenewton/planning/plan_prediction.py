@@ -366,7 +366,7 @@ def _tilted(plan: CampaignPlan) -> Ladder:
             name, tilt=float(tilt), tilt_error=TILT_ERROR, coil_shift_error=LIKELY_COIL_SHIFT
         )
         coils = f"its coils to {1e6 * LIKELY_COIL_SHIFT:g} um"
-        words = f"a load tilted by {tilt:g} deg, known to {TILT_ERROR:g} deg, {coils}"
+        words = f"a load tilted by {tilt:g} ± {TILT_ERROR:g} deg, {coils}"
         yield words, {"loads": (*plan.loads, load)}
 
 

@@ -27,7 +27,7 @@ from truenewton.rounding import counted, percent, row, table_lines
 
 
 def lines(outcome: PlanPrediction) -> Iterator[str]:
-    """Yield the lines of the prediction."""
+    """Yield the errors, the time, what is near its limit, the order of the loads, and advice."""
     ready, strain, prediction = outcome.ready, outcome.strain, outcome.prediction
     plan, limits = ready.plan, ready.plan.limits
     relative, shapes = prediction.error / prediction.alpha, len(ready.shapes)
@@ -39,47 +39,63 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
         f" of {shapes} shapes and their negatives under {counted(plan.loads, 'load')} ({names})"
     )
     ids = prediction.layout.id[prediction.layout.enabled]
+    order = mountings(plan, shapes)
+    readings = 2 * shapes * plan.cycles * len(plan.loads)
     rows = []
     if prediction.scale_is_free:
         rows.append(("common scale", "free", "no two loads differ in weight"))
     else:
-        parts = scale_budget(prediction.scale_errors).items()
-        budget = ", ".join(f"{what} {percent(part)}" for what, part in parts)
         rows += [
             ("typical error of alpha", percent(typical_error),
-             f"E_ALPHA, one sigma; largest: actuator {ids[relative.argmax()]},"
-             f" {percent(relative.max())}"),
+             f"E_ALPHA, 1 sigma; largest {percent(relative.max())} (ID {ids[relative.argmax()]})"),
             ("  common scale", percent(from_weights), "E_SYST, from the weights"),
-            ("    budget", budget, ""),
         ]  # fmt: skip
-    order = mountings(plan, shapes)
-    readings = 2 * shapes * plan.cycles * len(plan.loads)
     rows += [
         ("  statistical", percent(from_readings),
          f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
-        ("least certain pattern", prediction.diagnosis.weakest,
-         f"{percent(prediction.diagnosis.weakest_share)} of the variance E_STAT^2"),
         ("duration", _time(outcome.duration),
-         f"{readings} readings of {1e3 * reading_time(plan):.3g} ms,"
-         f" {counted(len(order) - 1, 'load change')} of {_time(plan.pause)}"),
+         f"{readings} readings, {counted(len(order) - 1, 'load change')} of {_time(plan.pause)}"),
         ("largest force", f"{strain.force:.3g} N",
-         f"actuator {strain.actuator} under {strain.load}; {strain.force_at_worst:.3g} N if its"
-         f" alpha is the lowest possible; limit {limits.force:g} N"),
+         f"limit {limits.force:g} N; actuator {strain.actuator}, load '{strain.load}'"),
         ("largest stroke", f"{1e6 * strain.stroke:.3g} um",
          f"limit {1e6 * limits.displacement:g} um"),
         *_small_shapes(outcome),
         ("smallest gap", f"{1e6 * strain.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
     ]  # fmt: skip
     yield from starmap(row, rows)
+    yield row("order of the loads", ", ".join(map(str, order)))
+    if len(outcome.orders) > 1:
+        yield _remounting_pays(outcome)
+    if (third := outcome.third_load) is not None:
+        yield (
+            f"  advice: A third load like '{third.like}' reduces the scale error, drift included,"
+            f" from {percent(third.error_now)} to {percent(third.error)}, and detects an error of"
+            f" {1e3 * third.seen:.2g} mN in '{third.like}', which two loads cannot."
+        )
+    yield from warning_lines(outcome.warnings)
+
+
+def detail_lines(outcome: PlanPrediction) -> Iterator[str]:
+    """Yield where the errors come from, and how they depend on the plan."""
+    ready, strain, prediction = outcome.ready, outcome.strain, outcome.prediction
+    parts = scale_budget(prediction.scale_errors).items()
+    if parts and not prediction.scale_is_free:
+        budget = ", ".join(f"{what} {percent(part)}" for what, part in parts)
+        yield row("budget of the scale", budget)
+    share = percent(prediction.diagnosis.weakest_share)
+    yield row("least certain pattern", prediction.diagnosis.weakest,
+              f"{share} of the variance E_STAT^2")  # fmt: skip
+    yield row("force at lowest alpha", f"{strain.force_at_worst:.3g} N",
+              f"of actuator {strain.actuator}, if its alpha is the lowest possible")  # fmt: skip
+    yield row("time of one reading", f"{1e3 * reading_time(ready.plan):.3g} ms")
     yield from _reciprocity_lines(outcome)
     yield from _order_lines(outcome)
-    yield "  typical errors of alpha, against the number of cycles and the added weight:"
+    yield "  typical errors of alpha by number of cycles, and by added weight:"
     yield from _table("cycles", outcome.against_cycles)
     if outcome.reciprocity.planned is not None:
         error = outcome.reciprocity.against_cycles.statistical_error.tolist()
         yield f"      {'by reciprocity':<20}" + "".join(f"{percent(e):>9}" for e in error)
-    yield from _table("added weights, times", outcome.against_weight)
-    yield from warning_lines(outcome.warnings)
+    yield from _table("added weight, factor", outcome.against_weight)
 
 
 def _small_shapes(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
@@ -91,9 +107,9 @@ def _small_shapes(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
         return []
     return [
         ("smallest stroke", f"{1e9 * strokes.min():.3g} nm",
-         f"a tenth of the stroke of {small} of {counted(len(strokes), 'shape')} is less than six"
-         f" times the noise of a position ({1e9 * noise:.2g} nm); `acquire` will report faults"
-         " unless the bench gives position_scatter, or shapes.count is smaller")
+         f"`acquire` will take noise of a position ({1e9 * noise:.2g} nm) for faults in {small} of"
+         f" {counted(len(strokes), 'shape')}; reduce shapes.count, or let the bench give"
+         " position_scatter")
     ]  # fmt: skip
 
 
@@ -103,7 +119,7 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
     if found.planned is None:
         yield row("by reciprocity", f"not possible: {found.why_not}")
         return
-    yield f"  by reciprocity (calibrate --method reciprocity --mirror {plan.mirror})"
+    yield f"  with calibrate --method reciprocity --mirror {plan.mirror}:"
     error, from_readings, _ = found.planned.typical_errors
     sensors, rows = plan.sensors, []
     if not found.planned.scale_is_free:
@@ -124,30 +140,24 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
 
 
 def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
-    """Yield the order of the loads, what each order costs, and what a third load would show."""
+    """Yield the times of the load changes, what each order costs, and the time of a third load."""
     plan, drift = outcome.ready.plan, outcome.ready.plan.drift
     order = mountings(plan, len(outcome.ready.shapes))
-    yield row("order of the loads", ", ".join(map(str, order)))
     if len(order) > 1:
         changes = (f"'{each.load.name}' after {_time(each.start)}" for each in order[1:])
-        yield row("change to", ", ".join(changes))
+        yield row("change of load to", ", ".join(changes))
     if len(outcome.orders) > 1:
         title = (
-            f"  error of the common scale if, per hour, alpha drifts by {percent(drift.alpha)} and"
-            f" zeros by {1e6 * drift.zero:.3g} uN; {1e6 * drift.remounting:.3g} uN per mounting:"
+            f"  scale error by order of the loads (drift in an hour: alpha {percent(drift.alpha)},"
+            f" zeros {1e6 * drift.zero:.3g} uN; mounting: {1e6 * drift.remounting:.3g} uN):"
         )
         head = "order of the loads", "alpha", "zeros", "mounting", "total", "time", ""
         rows = (_order_cost(cost, plan.turns) for cost in outcome.orders)
         yield from table_lines(title, head, *rows)
-        yield f"  {_remounting_pays(outcome)}"
     if (third := outcome.third_load) is not None:
-        yield (
-            f"  advice: A third load with the weight and uncertainty of '{third.like}' reduces the"
-            f" scale error from {percent(third.error_now)} to {percent(third.error)}. It detects"
-            f" an error of {1e3 * third.seen:.2g} mN ({percent(third.relative)} of the scale) in"
-            f" '{third.like}', or as much that rests on something else. Two loads cannot. It takes"
-            f" {_time(third.duration)} and {third.mountings} more load changes."
-        )
+        yield row("third load", f"{_time(third.duration)} more",
+                  f"{counted(third.mountings, 'load change')}; detects {percent(third.relative)} of"
+                  " the scale")  # fmt: skip
 
 
 def _order_cost(cost: OrderCost, planned: int) -> tuple[str, ...]:
@@ -164,10 +174,10 @@ def _remounting_pays(outcome: PlanPrediction) -> str:
     without = without_remounting(ready.plan, ready.mirror, len(ready.shapes), most)
     extra = most.changes - outcome.orders[0].changes
     return (
-        f"recommended: turns = {turns_that_pay(ready.plan, ready.mirror, len(ready.shapes))}"
-        f" ({counted(extra, 'more mounting')} in"
-        f" {_time(most.duration - outcome.orders[0].duration)} give {percent(most.error)}; more"
-        f" cycles in that time give {percent(without)})"
+        f"  recommended: turns = {turns_that_pay(ready.plan, ready.mirror, len(ready.shapes))}."
+        f" Scale error, drift included: {percent(most.error)} with"
+        f" {counted(extra, 'more mounting')} ({_time(most.duration - outcome.orders[0].duration)}),"
+        f" {percent(without)} with more cycles in that time."
     )
 
 
@@ -192,7 +202,7 @@ def change_lines(target: float | None, changes: Sequence[Change]) -> Iterator[st
             said = f"{change.change}: {percent(change.error)}, {_time(change.duration)}"
         elif change.plan is not None:
             error = percent(change.error) if change.error < float("inf") else "a free scale"
-            said = f"not sufficient: {change.change} gives {error}"
+            said = f"{change.change}: {error}, not sufficient"
         else:
             said = f"not possible: {change.change}"
         yield f"    {change.what:<22}{said}"

@@ -64,13 +64,13 @@ def summary_rows(tracking: Tracking) -> Iterator[tuple[str, str]]:
     for population in t.populations:
         unit, (low, high) = UNITS[population.effect], population.spread_interval
         mean = with_error(100 * population.mean, 100 * population.mean_error)
-        within = f"95 % within {100 * low:.2g} .. {100 * high:.2g}"
+        within = f"95 % interval {100 * low:.2g} .. {100 * high:.2g}"
         yield (f"{population.effect}, mean", f"{mean} {unit}")
         yield ("  spread of actuators", f"{100 * population.spread:.2g} {unit}, {within}")
     if t.scatter_degrees:
         own, common = (f"{100 * s:.2g} %" for s in (np.nanmedian(t.scatter), t.common_scatter))
         degrees = f"{t.scatter_degrees} degree{'s' * (t.scatter_degrees > 1)} of freedom"
-        yield ("scatter of days", f"{own} of each actuator, {common} of all ({degrees})")
+        yield ("scatter of days", f"{own} of one actuator, {common} common to all ({degrees})")
     if t.degrees_of_freedom:
         reduced = f"chi2/DOF = {t.chi2 / t.degrees_of_freedom:.3g}, DOF {t.degrees_of_freedom}"
         yield ("fit", f"{reduced}, probability {t.probability:.2g}")
@@ -118,7 +118,7 @@ def _validity_lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]
     law = _span(v, v.law_temperatures, v.law_until)
     yield f"  the latest calibration is valid to {wanted} {latest}"
     yield f"  this law is valid to {wanted} {law or 'never'}"
-    yield "  (without errors of the weights, which the same weights would repeat)"
+    yield "  Errors of the weights are not included, because the same weights would repeat them."
 
 
 def _span(
