@@ -1,6 +1,7 @@
 """What changed between two simulated matrices of one mirror, against the truth.
 
-    python -m studies.comparison [--mirror p45] [--seeds 20] [--first 40001] [--rejections]
+    python -m studies.comparison [--mirror p45] [--seeds 20] [--first 40001]
+        [--rejections] [--campaign]
 
 Noise of 0.05 % of the rms element in five laws; alphas change by 0.3 % and sensor gains by 0.2 %,
 at random. In every second pair one alpha changes by -15 %, one coil is reversed, and two sensors
@@ -8,14 +9,16 @@ change by 3 %. Columns: the rms error of the change of alpha, times 1e-4, and re
 error; coverage of 95 % intervals of alpha and of sensor gains, with its Monte Carlo error;
 changes found; pairs without such a change in which anything was named or doubtful; the largest
 pattern of the residual; processor seconds. --rejections prints what becomes of new matrices that
-were processed, or measured on other glass, with the coverage of what was not rejected. lbt672 is
-built on the measured matrix where its folder is given.
+were processed, or measured on other glass, with the coverage of what was not rejected. --campaign:
+the new data are a simulated campaign with POSITION, of one cycle for each load. lbt672 is built on
+the measured matrix where its folder is given.
 """
 
 import argparse
 import time
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -49,6 +52,38 @@ def with_glass(exact, stiffer):
     return root @ ((1.0 + stiffer)[:, None] * root)
 
 
+def ratios_of(random, n, *, changed):
+    """Return (2, n) true ratios of alpha and gains, and which four changed."""
+    ratios = 1.0 + np.array(SCATTER)[:, None] * random.standard_normal((2, n))
+    four = random.choice(n, 4, replace=False)
+    if changed:
+        ratios[0, four[:2]] *= (0.85, -1.0)
+        ratios[1, four[2:]] *= 1.03
+    return ratios, four
+
+
+def matrix_and_campaign(mirror, seed, law, *, changed):
+    """Return a matrix, a later campaign, (2, n) true ratios and which four changed."""
+    random = np.random.default_rng(seed)
+    bench = tn.static_bench(mirror, seed)
+    ratios, four = ratios_of(random, bench.truth.layout.n, changed=changed)
+    quiet = replace(bench.sensors, noise=1e-6 * bench.sensors.noise)
+    exact = campaign_of(replace(bench, force_noise=1e-10, sensors=quiet))
+    matrix = tn.measured_stiffness(exact).matrix
+    sensors = np.exp(0.7 * random.standard_normal(matrix.layout.n))
+    old = matrix.stiffness + noise(random, matrix.stiffness, law, sensors)
+    truth = replace(bench.truth, alpha=bench.truth.alpha * ratios[0], seed=seed + 1)
+    # The gain is metre by metre read, which is the inverse of that of a row of readings.
+    gain = replace(bench.sensors, gain=bench.sensors.gain / ratios[1])
+    new = campaign_of(replace(bench, truth=truth, sensors=gain))
+    return replace(matrix, stiffness=old), new, ratios, four
+
+
+def campaign_of(bench):
+    """Return a campaign of one cycle for each load."""
+    return tn.Campaign(tuple(tn.run_cycles(bench, 1)))
+
+
 def pair(matrix, exact, seed, law, *, changed, later=None):
     """Return two matrices, (2, n) true ratios of alpha and gains, and which four changed.
 
@@ -56,11 +91,7 @@ def pair(matrix, exact, seed, law, *, changed, later=None):
     """
     random, n = np.random.default_rng(seed), len(exact)
     scatter = 1.0 + 0.05 * random.standard_normal(n), 1.0 + 0.004 * random.standard_normal(n)
-    ratios = 1.0 + np.array(SCATTER)[:, None] * random.standard_normal((2, n))
-    four = random.choice(n, 4, replace=False)
-    if changed:
-        ratios[0, four[:2]] *= (0.85, -1.0)
-        ratios[1, four[2:]] *= 1.03
+    ratios, four = ratios_of(random, n, changed=changed)
     old, new = (
         true / scatter[0][:, None] / scatter[1]
         for true in (exact, exact if later is None else later)
@@ -85,8 +116,8 @@ def covered(c, matrix, ratios):
     return np.mean(alpha**2), np.mean(stated**2), *inside
 
 
-def accuracy(matrix, exact, seeds):
-    """Print a line for each law."""
+def accuracy(drawn, seeds):
+    """Print a line for each law of pairs that ``drawn`` returns for a seed and a law."""
     print(
         "noise           error  /stated  alpha, gains covered [%]   found  named  pattern  seconds"
     )
@@ -96,12 +127,12 @@ def accuracy(matrix, exact, seeds):
         start = time.process_time()
         for seed in seeds:
             changed = seed % 2 == 0
-            old, new, ratios, four = pair(matrix, exact, seed, law, changed=changed)
+            old, new, ratios, four = drawn(seed, law, changed=changed)
             c = tn.compare(old, new)
-            rows.append(covered(c, matrix, ratios))
+            rows.append(covered(c, old, ratios))
             names = [{*c.layout.id[each]} for each in (c.alpha_changed, c.sensor_changed)]
             if changed:
-                right = [{*matrix.layout.id[each]} for each in (four[:2], four[2:])]
+                right = [{*old.layout.id[each]} for each in (four[:2], four[2:])]
                 found.append(sum(len(a & b) for a, b in zip(names, right, strict=True)))
             else:
                 moved = any((*names, c.couplings, c.matching.rows))
@@ -185,10 +216,18 @@ def main():
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=40001)
     parser.add_argument("--rejections", action="store_true")
+    parser.add_argument("--campaign", action="store_true")
     options = parser.parse_args()
+    seeds = range(options.first, options.first + options.seeds)
+    if options.campaign:
+        accuracy(partial(matrix_and_campaign, getattr(tn.mirrors, options.mirror)()), seeds)
+        return
     matrix = measured_or_made(options.mirror)
-    show = rejections if options.rejections else accuracy
-    show(matrix, true_stiffness(matrix), range(options.first, options.first + options.seeds))
+    exact = true_stiffness(matrix)
+    if options.rejections:
+        rejections(matrix, exact, seeds)
+    else:
+        accuracy(partial(pair, matrix, exact), seeds)
 
 
 if __name__ == "__main__":

@@ -124,8 +124,8 @@ def _compare_segments(data: Sequence[SegmentedData]) -> Parts[Comparison]:
     return data[0].solved(solver, "a comparison")
 
 
-def _sides(data: Sequence[Body]) -> list[Side]:
-    """Return the stiffness of each, measured or by regression."""
+def _sides(data: Sequence[Body]) -> tuple[list[Side], bool]:
+    """Return the stiffness of each, measured or by regression, and whether all noise is known."""
     sides, residuals = [], []
     for name, given in zip(("old", "new", "repeat"), data, strict=False):
         matrix = given.stiffness if isinstance(given, Campaign) else given
@@ -141,19 +141,22 @@ def _sides(data: Sequence[Body]) -> list[Side]:
         sides.append(Side(matrix, covariance))
         residuals.append(residual)
     if not np.isfinite(residuals).all():  # the noise of all is taken as equal
-        return sides
+        return sides, False
     return [
         Side(side.matrix, residual**2 * side.covariance)
         for side, residual in zip(sides, residuals, strict=True)
-    ]
+    ], True
 
 
 def _compare_bodies(data: Sequence[Body], alarm: float = FALSE_ALARM) -> Comparison:
     """Compare old, new and perhaps a repeat of one body; ``alarm`` is the rate of false alarms."""
-    one, other, *third = _sides(data)
+    (one, other, *third), known = _sides(data)
     pair = pair_matrices(one, other)
     _refuse_processed(pair)
-    fit = fit_pair(pair.old, pair.new, pair.inflation, pair.covariance)
+    beside_matrix = known and bool(one.covariance.any()) != bool(other.covariance.any())
+    fit = fit_pair(pair.old, pair.new, pair.inflation, pair.covariance, beside_matrix=beside_matrix)
+    if beside_matrix:
+        fit = replace(fit, covariance=fit.covariance * max(1.0, fit.pattern) ** 2)
     excess = math.nan
     if third:
         noise = _noise_of_repeat(pair, fit, one, third[0])
@@ -195,7 +198,6 @@ def _comparison(
     mean = np.concatenate(means)
     common = float(np.exp(-mean @ np.concatenate([fit.a, fit.b])))
     diagonal, ids = np.sqrt(np.abs(np.diag(pair.old))), pair.layout.id
-    whitened = fit.noise.whitened(fit.unchanged)
     square = np.divide(*fit.noise.innovations(fit.unchanged)) ** 2
     return Comparison(
         instrument=old.instrument,
@@ -211,7 +213,7 @@ def _comparison(
         ),
         noise_law=fit.noise.name,
         relative_noise=float(np.sqrt((fit.residual**2).mean() / (pair.old**2).mean())),
-        pattern=float(np.linalg.norm(whitened, 2)) / (2.0 * math.sqrt(n)),
+        pattern=fit.pattern,
         tails=float((square**2).mean() / square.mean() ** 2) - 3.0,
         resemblance=_resemblance(fit, unchanged),
         excess=excess,

@@ -18,7 +18,11 @@ The variance v is one of these laws, whichever is more likely:
   in a matrix that was measured mode by mode;
 - shapes, if K_1 or K_2 is a regression of the shapes X of a campaign: U'u V is independent, v_kl =
   rho_k lambda_l. The rows of K have the covariance sigma^2 (X'X)^-1, whose eigenvectors are V. U
-  are the left singular vectors of K_1, since noise e of the readings is K e in the forces.
+  are the left singular vectors of K_1, since noise e of the readings is K e in the forces;
+- elements and shapes, if one of them is a regression and the other a matrix: a row of u has the
+  covariance C + diag(v_i), with C = sigma^2 (X'X)^-1 of the regression and v_ij of the matrix.
+  The noise of the sensors of the campaign, which rows share, is not part of it. Therefore the
+  errors are multiplied by the largest pattern of the residual over noise.
 
 The logarithms of rho, gamma and lambda are shrunk towards their mean (empirical Bayes), because a
 row of 45 elements alone would determine its variance only to 20 %.
@@ -26,6 +30,8 @@ row of 45 elements alone would determine its variance only to 20 %.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -58,6 +64,7 @@ MAX_NAMING_PASSES = 10
 
 
 Couplings = NDArray[np.int64]  # (k, 2) rows and columns of elements
+NO_COUPLINGS: Couplings = np.zeros((0, 2), dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +274,109 @@ class ModeNoise:
         return float((self.whitened(u) ** 2).sum() + logs)
 
 
-Noise = ElementNoise | ModeNoise
+@dataclass(frozen=True, eq=False)
+class RowNoise:
+    """Independent noise of the elements of a matrix, and of a regression, common to each row.
+
+    Attributes
+    ----------
+    elements
+        Noise of the matrix.
+    covariance
+        (n, n) C of the elements of a row by regression [N^2/m^2].
+    """
+
+    name: ClassVar = "elements and shapes"
+
+    elements: ElementNoise
+    covariance: Array
+
+    def _rows(self, couplings: Couplings) -> Iterator[tuple[Array, Array]]:
+        """Yield (n, n) inverse covariance P of each row without couplings, and its covariance."""
+        rows, columns = couplings.T
+        for i, variance in enumerate(self.elements.variance):
+            covariance = self.covariance + np.diag(variance)
+            changed = columns[rows == i]
+            if not changed.size:
+                yield linalg.inverse_of_positive(covariance), covariance
+                continue
+            kept = np.setdiff1d(np.arange(len(variance)), changed)
+            inverse = np.zeros_like(covariance)
+            inverse[np.ix_(kept, kept)] = linalg.inverse_of_positive(covariance[np.ix_(kept, kept)])
+            yield inverse, covariance
+
+    def refitted(self, u: Array, t: Array) -> RowNoise:
+        """Return the likeliest law for (n, n) residuals u and mean t, by a step of EM.
+
+        The first step takes all of u as noise of the matrix.
+        """
+        u = u / np.sqrt(1.0 - np.minimum(self.elements.leverage, MAX_LEVERAGE))
+        square = u**2
+        if np.isfinite(self.elements.log_mix):
+            for i, (inverse, _) in enumerate(self._rows(NO_COUPLINGS)):
+                own = self.elements.variance[i]
+                square[i] = (own * (inverse @ u[i])) ** 2 + own - own**2 * np.diag(inverse)
+        free = replace(self.elements, leverage=np.zeros_like(u))
+        return replace(self, elements=free.refitted(np.sqrt(square), t))
+
+    def unchanged(self, u: Array, couplings: Couplings) -> Array:
+        """Return (n, n) u with what the others predict in place of changed couplings."""
+        u = u.copy()
+        u[tuple(couplings.T)] = 0.0
+        predicted = [
+            covariance @ (inverse @ u[i])
+            for i, (inverse, covariance) in enumerate(self._rows(couplings))
+        ]
+        i, j = couplings.T
+        u[i, j] = np.array(predicted)[i, j]
+        return u
+
+    def equations(self, u: Array, t: Array, couplings: Couplings) -> tuple[Array, Array]:
+        """Return the (2n,) score and the (2n, 2n) information of a and b without couplings."""
+        n = len(t)
+        score, information = np.zeros((2, n)), np.zeros((2 * n, 2 * n))
+        for i, (inverse, _) in enumerate(self._rows(couplings)):
+            pull, weighted = inverse @ u[i], t[i] * (inverse @ t[i])
+            score[0, i] = t[i] @ pull
+            score[1] += t[i] * pull
+            information[i, i] = weighted.sum()
+            information[i, n:] = information[n:, i] = weighted
+            information[n:, n:] += t[i][:, None] * inverse * t[i]
+        return score.ravel(), information
+
+    def with_leverage(self, t: Array, covariance: Array) -> RowNoise:
+        """Return the law with the leverage that factors of (2n, 2n) covariance have."""
+        total = self.elements.variance + np.diag(self.covariance)
+        whole = replace(self.elements, variance=total).with_leverage(t, covariance)
+        return replace(self, elements=replace(self.elements, leverage=whole.leverage))
+
+    def innovations(self, u: Array) -> tuple[Array, Array]:
+        """Return (n, n) by how much each element differs from the others' prediction, and error."""
+        pulls, own = np.array(
+            [(p @ u[i], np.diag(p)) for i, (p, _) in enumerate(self._rows(NO_COUPLINGS))]
+        ).transpose(1, 0, 2)
+        return pulls / own, 1.0 / np.sqrt(own)
+
+    def whitened(self, u: Array) -> Array:
+        """Return (n, n) residuals of unit variance."""
+        return self._whitened(u)[0]
+
+    def _whitened(self, u: Array) -> tuple[Array, float]:
+        """Return (n, n) residuals of unit variance, and the logarithm of their covariance."""
+        whitened, logs = np.empty_like(u), 0.0
+        for i, (inverse, _) in enumerate(self._rows(NO_COUPLINGS)):
+            root = np.linalg.cholesky(inverse)
+            whitened[i] = u[i] @ root
+            logs -= 2.0 * float(np.log(np.diag(root)).sum())
+        return whitened, logs
+
+    def cost(self, u: Array) -> float:
+        """Return -2 log likelihood of (n, n) residuals, but for a constant."""
+        whitened, logs = self._whitened(u)
+        return float((whitened**2).sum() + logs)
+
+
+Noise = ElementNoise | ModeNoise | RowNoise
 
 
 def shrunk(logs: Array, variance: Array | float) -> Array:
@@ -336,6 +445,12 @@ class PairFit:
     cost: float
     converged: bool
 
+    @cached_property
+    def pattern(self) -> float:
+        """Largest singular value of the whitened residual over 2 sqrt(n): about 1 for noise."""
+        whitened = self.noise.whitened(self.unchanged)
+        return float(np.linalg.norm(whitened, 2)) / (2.0 * math.sqrt(len(self.a)))
+
     def deviating(self, limit: float) -> Couplings:
         """Return the elements that deviate from the prediction of the others by a limit."""
         sizes, errors = self.noise.innovations(self.unchanged)
@@ -345,7 +460,13 @@ class PairFit:
 
 
 def fit_pair(
-    one: Array, other: Array, inflation: Array, covariance: Array, noise: Noise | None = None
+    one: Array,
+    other: Array,
+    inflation: Array,
+    covariance: Array,
+    noise: Noise | None = None,
+    *,
+    beside_matrix: bool = False,
 ) -> PairFit:
     """Return the fit with the likeliest of the noise laws.
 
@@ -361,13 +482,21 @@ def fit_pair(
         (n, n) of the elements of a row by regression, up to a factor; 0 without a campaign.
     noise
         The law with its variances, if they are known.
+    beside_matrix
+        Whether one is a regression whose covariance is known and the other a matrix.
     """
-    laws, fixed = ([noise], True) if noise else (_laws(one, inflation, covariance), False)
+    if noise:
+        laws = [noise]
+    elif beside_matrix:  # the likelihoods do not show well how much of the noise is the matrix's
+        laws = [RowNoise(ElementNoise.start(one, inflation), covariance)]
+    else:
+        laws = _laws(one, inflation, covariance)
+    fixed = noise is not None
     limit = normal_isf(FALSE_ALARM / 4 / one.size)
     most = min(MAX_CHANGED_COUPLINGS * one.size, len(one))
     start, signs = rough_factors(one, other)
     other = other * signs[0][:, None] * signs[1]
-    couplings = np.zeros((0, 2), dtype=np.int64)
+    couplings = NO_COUPLINGS
     fits: list[PairFit] = []
     for law in laws:
         fit = _iterated(law, one, other, start, couplings, fixed=fixed)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.verdict import verdict_on_parts
 from truenewton.comparison.calibrations import Change, write_table
+from truenewton.comparison.fit import RowNoise
 from truenewton.comparison.pairing import Matching
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding, Verdict, judged
@@ -60,8 +61,8 @@ class Comparison(Result):
         IDs of actuator and sensor of the elements that changed by themselves, and by how much,
         relative to the geometric mean of the two diagonal elements.
     noise_law, relative_noise
-        'elements', 'modes' or 'shapes'; rms difference that is not explained, relative to the rms
-        element.
+        'elements', 'modes', 'shapes' or 'elements and shapes'; rms difference that is not
+        explained, relative to the rms element.
     pattern
         Largest singular value of the whitened residual over 2 sqrt(n): about 1 if it is noise.
     tails
@@ -131,7 +132,9 @@ class Comparison(Result):
         """What limits the errors."""
         found = []
         if self.pattern > MAX_PATTERN:
-            found.append(Finding.of(Code.PAIR_PATTERN, pattern=self.pattern))
+            rows = self.noise_law == RowNoise.name
+            code = Code.PAIR_ROWS if rows else Code.PAIR_PATTERN
+            found.append(Finding.of(code, pattern=self.pattern))
         if self.tails > MAX_TAILS:
             found.append(Finding.of(Code.PAIR_NOISE, tails=self.tails))
         if self.resemblance > MAX_RESEMBLANCE:
@@ -193,7 +196,7 @@ COMPARISON = FileFormat(
         Keyword("E_COMMON", "common_error", "standard uncertainty of COMMON"),
         Keyword("ASCATTER", "alpha_scatter", "scatter of alpha of the others"),
         Keyword("GSCATTER", "sensor_scatter", "scatter of sensor gains of the others"),
-        Keyword("NOISELAW", "noise_law", "elements, modes or shapes", kind="str"),
+        Keyword("NOISELAW", "noise_law", "elements, modes, shapes, or both", kind="str"),
         Keyword("NOISE", "relative_noise", "rms residual over rms element"),
         Keyword("PATTERN", "pattern", "largest pattern of the residual over noise"),
         Keyword("TAILS", "tails", "excess kurtosis of the residual"),

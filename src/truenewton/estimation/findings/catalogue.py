@@ -475,6 +475,12 @@ ENTRIES: dict[Code, Entry] = {
         "check whether rigid-body modes or stiff modes were removed from one matrix, and whether"
         " the mirror, its gap or its temperature differed",
     ),
+    Code.PAIR_ROWS: _fact(
+        Level.DOUBTFUL,
+        "between a matrix and a campaign, the residual contains a pattern {pattern:.2f} times as"
+        " large as its expected noise, by which the errors were multiplied",
+        "compare two matrices, or two campaigns",
+    ),
     Code.PAIR_NOISE: _fact(
         Level.DOUBTFUL,
         "the noise has heavier tails than any of the noise laws: excess kurtosis {tails:.1f}",

@@ -163,6 +163,7 @@ class Code(StrEnum):
     LAW_OF_REJECTED_DAY = "law-of-rejected-day"
     # Two matrices compared.
     PAIR_PATTERN = "pair-pattern"
+    PAIR_ROWS = "pair-rows"
     PAIR_NOISE = "pair-noise"
     PAIR_GLASS = "pair-glass"
     PAIR_EXCESS = "pair-excess"
