@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -153,7 +153,8 @@ class Layer:
             bar.set_label(f"{self.title}\n{note}" if note else self.title)
             bar.outline.set_linewidth(0.4)
             bar.locator = MaxNLocator(6, steps=[1, 2, 5, 10])
-            bar.formatter = FuncFormatter(lambda value, _: f"{value:g}")
+            bar.formatter = ScalarFormatter(useOffset=False)
+            bar.formatter.set_scientific(False)  # a power of ten would cover the label
             if bears_names(layout) or (annotate and layout.n <= NAMED):
                 self._write_names(ax, layout, dots, annotate=annotate)
             else:

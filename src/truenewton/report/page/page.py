@@ -384,9 +384,9 @@ def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Sectio
          str(row["against"]), str(row["actuator"]))
         for row in listed[:MAX_REJECTED_ROWS]
     )  # fmt: skip
-    more = f"; the farthest {MAX_REJECTED_ROWS}" if len(listed) > MAX_REJECTED_ROWS else ""
+    part = f"; the farthest {MAX_REJECTED_ROWS}" if len(listed) > MAX_REJECTED_ROWS else ""
     head = ("file", "row", "sigma", "against", "largest contribution by actuator")
-    table = TextTable(f"Rejected rows: {len(listed)}{more}", head, rows)
+    table = TextTable(f"Rejected rows: {len(listed)}{part}", head, rows)
     return Section("residuals", "Residuals by shape and cycle", (), "residuals", caption, more,
                    (table,))  # fmt: skip
 

@@ -82,7 +82,8 @@ def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSour
         "number": numbers_by_ring(layout).astype(np.int32),
         "shown": layers[0].values.copy(),
         "ink": ["#000000"] * layout.n,  # of the name on its dot; the page sets it
-        "rim": [INK] * layout.n,  # red of outliers; the page sets it
+        "rim": [INK] * layout.n,  # red and thick of outliers; the page sets both
+        "rim_width": [0.5 if layout.n <= CROWDED else 0.1] * layout.n,
     }
     for layer in layers:
         columns[layer.key] = np.array(layer.values)
@@ -129,7 +130,7 @@ def mirror_map(
     dots = plot.circle(
         x="x", y="y", radius=dot_radius(layout), source=source,
         fill_color={"field": "shown", "transform": mapper}, line_color="rim",
-        line_width=0.5 if layout.n <= CROWDED else 0.1,
+        line_width="rim_width",
         selection_line_color=ALARM, selection_line_width=3.0,
         nonselection_fill_alpha=0.35, nonselection_line_alpha=0.35,
     )  # fmt: skip

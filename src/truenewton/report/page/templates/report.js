@@ -41,14 +41,16 @@
     const [r, g, b] = [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
     return 0.299 * r + 0.587 * g + 0.114 * b > 128 ? "#000000" : "#ffffff";
   });
-  const rims = (layer) => {
-    const marked = new Set(layer.outliers);
-    return all.map((k) => (marked.has(k) ? "#a63603" : "#1a1a1a"));
+  const thin = Math.min(...data("rim_width"));
+  const rims = (layer, usual, marked) => {
+    const outliers = new Set(layer.outliers);
+    return all.map((k) => (outliers.has(k) ? marked : usual));
   };
   const show = (layer) => {
     mapper.setv({ palette: layer.palette, low: layer.low, high: layer.high });
     source.data = { ...Object.fromEntries(source.columns().map((name) => [name, data(name)])),
-      shown: data(layer.key), ink: inks(layer), rim: rims(layer) };
+      shown: data(layer.key), ink: inks(layer), rim: rims(layer, "#1a1a1a", "#a63603"),
+      rim_width: rims(layer, thin, 3) };
     models.get_model_by_name("outside").data = layer.outside;
     bar.title = layer.title;
     byId("meaning").textContent = layer.meaning;
