@@ -22,15 +22,17 @@ from truenewton.estimation.checks import (
     refusal_naming,
     strange_alphas,
 )
+from truenewton.estimation.effects.correction import (
+    unseen_errors,
+    with_magnets_unsure,
+    with_positions_unsure,
+)
 from truenewton.estimation.effects.examination import (
     ExaminedFit,
     chi2_probability,
     examined,
     misfit_findings,
-    unseen_errors,
     warmer_loads,
-    with_magnets_unsure,
-    with_positions_unsure,
 )
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
@@ -187,9 +189,9 @@ def _examined(
     left = examined(
         plain.problem, plain.moments, plain.minimum, screened.structure, screened.samples
     )
-    unseen = unseen_errors(left)
-    left = replace(left, minimum=with_magnets_unsure(left))
-    left = replace(left, minimum=with_positions_unsure(left))
+    unseen = unseen_errors(left.rows)
+    left = replace(left, minimum=with_magnets_unsure(left.rows, left.effects))
+    left = replace(left, minimum=with_positions_unsure(left.rows, left.effects))
     return left if left.fits or left.explained else _inflated(left, left.excess), unseen
 
 

@@ -14,13 +14,8 @@ from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.chance import OF_EACH_KIND
-from truenewton.estimation.effects.catalogue import CATALOGUE
-from truenewton.estimation.effects.correction import (
-    correction,
-    effect_tests,
-    significant,
-    unknown_force,
-)
+from truenewton.estimation.effects.catalogue import CATALOGUE, effect_tests, significant
+from truenewton.estimation.effects.correction import correction, unknown_force
 from truenewton.estimation.effects.derivative import (
     FittedRows,
     log_chance,

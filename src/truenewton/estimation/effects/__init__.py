@@ -2,7 +2,7 @@
 
 derivative    a fit, and the derivative, score, information and score test of an effect
 fields        effects on readings, summed over blocks of actuators
-catalogue     the effects
-correction    which are significant, and how an effect is taken out
-examination   which effects are named, which are taken out, and what the data cannot show
+catalogue     the effects, and which of them are significant
+correction    how an effect is taken out, and the errors of effects that the data cannot show
+examination   which effects are named, and which are taken out
 """

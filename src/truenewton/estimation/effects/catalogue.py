@@ -2,6 +2,16 @@
 
 An effect is a function of a fit that returns its derivative, or None if the data contain no
 information on it. To add one, write the function, and list it in `CATALOGUE`.
+
+Noise that the readings of a row share pushes the rows of a file in one direction and looks like
+zeros by file. Effects by which rows of one group differ are therefore compared with it. Along the
+direction d of an effect that all actuators share, 1 for zeros, the forces at rest for gains,
+repeats scatter kappa times as much as independent readings; without what the effect itself explains
+
+    T / k against F(k, M - k),        T -> T (M - k) / max(M kappa - T, M - k),
+
+M the rows less the groups. Parameters of each actuator are as many as are independent,
+(tr C)^2 / tr C^2 instead of n, C the correlations of the readings (`noise.structure_of`).
 """
 
 from __future__ import annotations
@@ -13,7 +23,14 @@ from functools import partial
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.effects.derivative import Derivative, FittedRows, OfEach
+from truenewton.chance import OF_EACH_KIND, f_logsf
+from truenewton.estimation.effects.derivative import (
+    Derivative,
+    FittedRows,
+    OfEach,
+    chi2_of,
+    log_chance,
+)
 from truenewton.estimation.effects.fields import (
     Field,
     FieldSums,
@@ -25,10 +42,11 @@ from truenewton.estimation.effects.fields import (
 )
 from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import bias_per_gain, weight_by_coil_shift
+from truenewton.estimation.findings.estimate import bias_per_gain
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
-from truenewton.statics.load import LIKELY_COIL_SHIFT, leaning
+from truenewton.estimation.screening.noise import independent_readings
+from truenewton.statics.load import leaning
 
 # Effects by which rows of one group differ.
 WITHIN_GROUPS = {
@@ -48,27 +66,18 @@ MAX_AFFECTED_FRACTION = 0.1  # of the actuators: if more stand out, it is no eff
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that the model does not contain.
+    """An effect that the model does not contain."""
 
-    Attributes
-    ----------
-    code, unit
-        Of the finding, and of the parameters.
-    derivative
-        Of a fit; None if the data contain no information on the effect.
-    remedy
-        What the user can do about it, or a function of the fit that returns it.
-    of
-        What its parameters belong to: '' (all together), 'file', 'load', 'actuator', 'axis'.
-    corrected
-        Whether it is taken out of the data of a fit if that makes it fit; otherwise it is named.
-    """
-
+    # Of the finding, and of the parameters
     code: Code
     unit: str
+    # Of a fit; None if the data contain no information on the effect
     derivative: Callable[[FittedRows], Derivative | None]
+    # What the user can do about it, or a function of the fit that returns it
     remedy: str | Callable[[FittedRows], str]
+    # What its parameters belong to: '' (all together), 'file', 'load', 'actuator', 'axis'
     of: str = ""
+    # Whether it is taken out of the data of a fit if that makes it fit; otherwise it is named
     corrected: Callable[[FittedRows], bool] = lambda _: True
 
     @property
@@ -309,24 +318,6 @@ def on_balance(fit: FittedRows, change: Array) -> Derivative:
     return Derivative(k, remove, jacobian=jacobian)
 
 
-def shifted_coils(fit: FittedRows) -> Derivative | None:
-    """Return coils that move by 5 um under each load under which the mirror leans.
-
-    Elastic forces would show it as a gain by load, but only POSITION tells that from larger shapes,
-    and only gradients tell by how much bias magnets change.
-    """
-    campaign = fit.problem.campaign
-    unknown = [
-        lean and load.coil_shift is None and load.coil_shift_error is None
-        for load, lean in zip(campaign.loads, leaning(campaign.loads), strict=True)
-    ]
-    measured = fit.moments.displacement is not None and fit.moments.pooled
-    if not any(unknown) or (measured and bias_per_gain(campaign) is not None):
-        return None
-    change = weight_by_coil_shift(campaign, fit.bias)[unknown]
-    return on_balance(fit, LIKELY_COIL_SHIFT * change * on_loads(fit, unknown))
-
-
 def on_loads(fit: FittedRows, loads: Sequence[bool] | slice = slice(1, None)) -> Array:
     """(g, 3, K) a force of 1 N in the balance under each of some loads; by default all but one."""
     return np.eye(3)[None, :, :1] * fit.moments.of_load[:, None, loads]
@@ -404,9 +395,65 @@ CATALOGUE: tuple[Effect, ...] = (
 )  # fmt: skip
 
 
-def derivatives(fit: FittedRows) -> list[tuple[Effect, Derivative]]:
-    """Return the effects on which the data may contain information, and their derivatives."""
+# -- which effects are significant ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class EffectTest:
+    """The test of one effect: a chi^2, and the logarithm of the probability of a larger one."""
+
+    effect: Effect
+    derivative: Derivative
+    statistic: float
+    degrees_of_freedom: float
+    log_probability: float
+
+
+def effect_tests(fit: FittedRows, *, bounded: bool = False) -> list[EffectTest]:
+    """Return the tests of the catalogue at a fit, the likeliest effect first.
+
+    ``bounded``: as in `chi2_of`.
+    """
     displaced = fit.moments.displacement is not None
     _sum_fields(fit, [name for name in FIELDS if displaced or name != "displacement"])
-    pairs = ((effect, effect.derivative(fit)) for effect in CATALOGUE)
-    return [(effect, each) for effect, each in pairs if each is not None and each.count]
+    made = ((effect, effect.derivative(fit)) for effect in CATALOGUE)
+    effects = [(effect, each) for effect, each in made if each is not None and each.count]
+    found = chi2_of(fit, [derivative for _, derivative in effects], bounded=bounded)
+    each = [EffectTest(*pair, *one) for pair, one in zip(effects, found, strict=True) if one]
+    return sorted(each, key=lambda test: test.log_probability)
+
+
+def significant(found: Sequence[EffectTest]) -> list[EffectTest]:
+    """Return the significant tests, the likeliest first; 1 of 400 sound campaigns has one."""
+    limit = np.log(-np.expm1(np.log1p(-OF_EACH_KIND) / max(len(found), 1)))
+    chosen = [test for test in found if test.log_probability < limit]
+    return sorted(chosen, key=lambda test: test.log_probability)
+
+
+def beside_shared_noise(
+    found: Sequence[EffectTest], fit: FittedRows, samples: Sequence[Array]
+) -> list[EffectTest]:
+    """Return effects by which rows of one group differ, if significant despite shared noise.
+
+    Their order stays that of independent noise; ``samples`` as in `noise.structure_of`, (m, n) [N].
+    """
+    some = [test for test in found if test.effect.within]
+    judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
+    codes = {test.effect.code for test in significant(judged)}
+    return [test for test in some if test.effect.code in codes]
+
+
+def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
+    n, variance = fit.problem.n, fit.problem.noise.variance
+    statistic, freedom = test.statistic, test.degrees_of_freedom
+    if test.derivative.count >= n or test.derivative.actuators is not None:
+        share = independent_readings([samples], n) / n
+        chance = float(log_chance(share * statistic, share * freedom))
+        return replace(test, log_probability=chance)
+    gain = test.effect.code in (Code.GAIN_BY_HOUR, Code.GAIN_BY_FILE)
+    weights = (fit.fitted().mean(axis=0) if gain else np.ones(n)) / variance
+    kappa = float(np.mean((samples @ weights) ** 2) / np.sum(weights**2 * variance))
+    left = fit.moments.repeats - freedom
+    rest = max(kappa * fit.moments.repeats - statistic, left)
+    ratio = statistic / freedom * left / rest
+    return replace(test, log_probability=float(f_logsf(ratio, freedom, left)))

@@ -1,14 +1,4 @@
-"""Which effects of the catalogue are significant, and how an effect is taken out.
-
-Noise that the readings of a row share pushes the rows of a file in one direction and looks like
-zeros by file. Effects by which rows of one group differ are therefore compared with it. Along the
-direction d of an effect that all actuators share, 1 for zeros, the forces at rest for gains,
-repeats scatter kappa times as much as independent readings; without what the effect itself explains
-
-    T / k against F(k, M - k),        T -> T (M - k) / max(M kappa - T, M - k),
-
-M the rows less the groups. Parameters of each actuator are as many as are independent,
-(tr C)^2 / tr C^2 instead of n, C the correlations of the readings (`noise.structure_of`).
+"""Effects that are taken out of the data, or that only the errors contain.
 
 A force that comes and goes at one actuator (friction, dust in its gap, a cable that pulls) adds
 a_i f_r to the imbalance of every row, a_i the arms of the actuator and f_r unknown. With
@@ -25,111 +15,65 @@ Newton step with its score and information, all else being free. The data determ
 1992, Neural Computation 4, 415): with C the covariance of theta,
 
     tau^2 <- sum theta^2 / nu,        nu = sum (1 - C_ii / tau^2).
+
+Under two loads the sums of the forces at rest are two equations for two unknowns, the common scale
+and B, and no test is possible (docs/effects.md). An effect of parameters theta, of usual size s,
+moves alpha by -B' theta, and the common scale by -(B v)' theta, with v the direction of a common
+factor and B as of any effect (`derivative`). The information in the data reduces this to
+
+    (B v)' C (B v),        C = (H_tt - H_te H^-1 H_et + 1 / s^2)^-1,
+
+which is negligible if they determine the effect, as three loads do. Magnets whose positions have a
+declared uncertainty (columns E_X and E_Y) add to the covariance in the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 
 from truenewton.arrays import Array
-from truenewton.chance import OF_EACH_KIND, chance_of_any, f_logsf
+from truenewton.chance import OF_EACH_KIND, chance_of_any
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.effects.catalogue import Effect, derivatives
-from truenewton.estimation.effects.derivative import (
-    Derivative,
-    FittedRows,
-    chi2_of,
-    log_chance,
-    scored,
+from truenewton.estimation.effects.catalogue import (
+    POSITIONS,
+    Effect,
+    on_balance,
+    on_loads,
+    parts_of_positions,
 )
+from truenewton.estimation.effects.derivative import FittedRows, log_chance, scored
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.findings.estimate import NoiseSource
+from truenewton.estimation.findings.estimate import (
+    MAGNET_COEFFICIENT,
+    NEGLIGIBLE_SCALE_ERROR,
+    NoiseSource,
+    UnseenError,
+    bias_per_gain,
+    weight_by_coil_shift,
+)
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.screening.noise import independent_readings, reading_noise
+from truenewton.estimation.screening.noise import reading_noise
 from truenewton.linalg import inverse_of_positive
-
-
-@dataclass(frozen=True, eq=False)
-class EffectTest:
-    """The test of one effect: a chi^2, and the logarithm of the probability of a larger one."""
-
-    effect: Effect
-    derivative: Derivative
-    statistic: float
-    degrees_of_freedom: float
-    log_probability: float
-
-
-def effect_tests(fit: FittedRows, *, bounded: bool = False) -> list[EffectTest]:
-    """Return the tests of the catalogue at a fit, the likeliest effect first.
-
-    ``bounded``: as in `chi2_of`.
-    """
-    effects = derivatives(fit)
-    found = chi2_of(fit, [derivative for _, derivative in effects], bounded=bounded)
-    each = [EffectTest(*pair, *one) for pair, one in zip(effects, found, strict=True) if one]
-    return sorted(each, key=lambda test: test.log_probability)
-
-
-def significant(found: Sequence[EffectTest]) -> list[EffectTest]:
-    """Return the significant tests, the likeliest first; 1 of 400 sound campaigns has one."""
-    limit = np.log(-np.expm1(np.log1p(-OF_EACH_KIND) / max(len(found), 1)))
-    chosen = [test for test in found if test.log_probability < limit]
-    return sorted(chosen, key=lambda test: test.log_probability)
-
-
-def beside_shared_noise(
-    found: Sequence[EffectTest], fit: FittedRows, samples: Sequence[Array]
-) -> list[EffectTest]:
-    """Return effects by which rows of one group differ, if significant despite shared noise.
-
-    Their order stays that of independent noise; ``samples`` as in `noise.structure_of`, (m, n) [N].
-    """
-    some = [test for test in found if test.effect.within]
-    judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
-    codes = {test.effect.code for test in significant(judged)}
-    return [test for test in some if test.effect.code in codes]
-
-
-def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
-    n, variance = fit.problem.n, fit.problem.noise.variance
-    statistic, freedom = test.statistic, test.degrees_of_freedom
-    if test.derivative.count >= n or test.derivative.actuators is not None:
-        share = independent_readings([samples], n) / n
-        chance = float(log_chance(share * statistic, share * freedom))
-        return replace(test, log_probability=chance)
-    gain = test.effect.code in (Code.GAIN_BY_HOUR, Code.GAIN_BY_FILE)
-    weights = (fit.fitted().mean(axis=0) if gain else np.ones(n)) / variance
-    kappa = float(np.mean((samples @ weights) ** 2) / np.sum(weights**2 * variance))
-    left = fit.moments.repeats - freedom
-    rest = max(kappa * fit.moments.repeats - statistic, left)
-    ratio = statistic / freedom * left / rest
-    return replace(test, log_probability=float(f_logsf(ratio, freedom, left)))
+from truenewton.records.campaign import load_temperatures
+from truenewton.statics.load import LIKELY_COIL_SHIFT, TYPICAL_GRADIENTS, leaning
 
 
 @dataclass(frozen=True)
 class UnknownForce:
-    """An unknown force at one actuator.
+    """An unknown force at one actuator."""
 
-    Attributes
-    ----------
-    index, actuator
-        Index among the enabled, and ID.
-    log_probability
-        Logarithm of the probability that any actuator stands out so far.
-    size
-        tau, rms force at one row of weight 1 [N].
-    """
-
+    # Index among the enabled, and ID
     index: int
     actuator: int
-    log_probability: float
-    size: float
+    log_probability: float  # logarithm of the probability that any actuator stands out so far
+    size: float  # tau, rms force at one row of weight 1 [N]
 
 
 def unknown_force(fit: FittedRows) -> UnknownForce | None:
@@ -170,19 +114,13 @@ def disturbed(problem: Problem, force: UnknownForce) -> Problem:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Data without an effect, and the fit to them.
+    """Data without an effect, and the fit to them."""
 
-    Attributes
-    ----------
-    theta, covariance, effective_parameters
-        (k,) its parameters, their (k, k) covariance, and nu.
-    problem, moments, minimum
-        The data without it and their fit, whose covariance includes the error of the effect.
-    """
-
+    # (k,) its parameters, their (k, k) covariance, and nu
     theta: Array
     covariance: Array
     effective_parameters: float
+    # The data without it and their fit, whose covariance includes the error of the effect
     problem: Problem
     moments: Moments
     minimum: Minimum
@@ -244,3 +182,168 @@ def with_error(minimum: Minimum, moves: Array, covariance: Array) -> Minimum:
     t = min(len(added), moves.shape[1])
     added[:t, :t] += moves[:, :t].T @ covariance @ moves[:, :t]
     return replace(minimum, reading_covariance=added)
+
+
+# -- effects that the data cannot show -------------------------------------------------------------
+
+MIN_REMAINING_SIZE = 0.1  # of the usual size, below which the data determine an effect
+
+
+def supported(fit: FittedRows) -> Array:
+    """Return a support of 5 mN of each load but the first."""
+    return 5e-3 * on_loads(fit)
+
+
+def zero_by_load(fit: FittedRows) -> Array:
+    """Return a shift of the zero of all readings under each load but the first."""
+    size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
+    moved = size * fit.scaled_arms.sum(axis=1)
+    return np.asarray(moved[None, :, None] * fit.moments.of_load[:, None, 1:])
+
+
+def warmer_magnets(fit: FittedRows) -> Array | None:
+    """Return bias magnets, two each, that are 1 K warmer under each load but the first."""
+    if np.isfinite(load_temperatures(fit.problem.campaign)).all():
+        return None  # E_SYST has it
+    return 2 * MAGNET_COEFFICIENT * fit.bias * on_loads(fit)
+
+
+def shifted_coils(fit: FittedRows) -> Array | None:
+    """Return coils that move by 5 um under each load under which the mirror leans.
+
+    Elastic forces would show it as a gain by load, but only POSITION tells that from larger shapes,
+    and only gradients tell by how much bias magnets change.
+    """
+    campaign = fit.problem.campaign
+    unknown = [
+        lean and load.coil_shift is None and load.coil_shift_error is None
+        for load, lean in zip(campaign.loads, leaning(campaign.loads), strict=True)
+    ]
+    measured = fit.moments.displacement is not None and fit.moments.pooled
+    if not any(unknown) or (measured and bias_per_gain(campaign) is not None):
+        return None
+    change = weight_by_coil_shift(campaign, fit.bias)[unknown]
+    return LIKELY_COIL_SHIFT * change * on_loads(fit, unknown)
+
+
+# Each effect changes the balance of groups, (g, 3, K), by its usual size; None if the error budget
+# contains it.
+UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Array | None]] = {
+    "5 mN of an added weight rests on something else": supported,
+    "all force zeros shift under a load by 10 % of the noise of a reading": zero_by_load,
+    "the bias magnets are 1 K warmer under a load": warmer_magnets,
+    "the coils move by 5 um as the mirror leans": shifted_coils,
+}
+STATIC_GAIN = "coil gains differ by 1 % between static and elastic forces"
+
+
+def unseen_errors(fit: FittedRows) -> tuple[UnseenError, ...]:
+    """Return the influence of undetectable effects on the common scale, the largest first."""
+    moves = dict[str, tuple[Array, Array]]()  # B v and C B v
+    # Of a relative change of all: alpha -> alpha (1 + e).
+    direction = np.zeros((1, fit.free))
+    direction[0, : fit.problem.n] = fit.alpha / (fit.alpha @ fit.alpha)
+    half = fit.half_solved(direction)
+    for name, change_at in UNDETECTABLE_EFFECTS.items():
+        change = change_at(fit)
+        if change is not None:
+            result = scored(fit, on_balance(fit, change))
+            along = (half.T @ result.half)[0]
+            information = result.information + np.eye(len(along))  # in units of 1 / s^2
+            try:
+                moves[name] = along, scipy.linalg.solve(information, along, assume_a="pos")
+            except np.linalg.LinAlgError:  # H_te H^-1 H_et exceeds H_tt by noise
+                moves[name] = along, along
+    moves[STATIC_GAIN] = moves_by_static_gain(fit, fit.solved(half)[:, 0])
+    found = list[UnseenError]()
+    for name, (along, left_open) in moves.items():
+        moved = float(np.sqrt(along @ left_open))
+        if moved > max(NEGLIGIBLE_SCALE_ERROR, MIN_REMAINING_SIZE * float(np.linalg.norm(along))):
+            found.append(UnseenError(name, moved))
+    return tuple(sorted(found, key=lambda error: -error.relative))
+
+
+def moves_by_static_gain(fit: FittedRows, solved: Array) -> tuple[Array, Array]:
+    """Return (n,) B v and C B v of coil gains that differ by 1 % from elastic forces to statics.
+
+    ``solved`` is (free,) H^-1 v. Elastic forces of each coil change alike in all rows, as with its
+    alpha: so C differs from 1 along few directions, and conjugate gradients need few steps.
+    """
+    share, fitted = fit.share, fit.fitted_rows
+    statics = (share / (fit.moments.weight @ fit.moments.of_load)).T @ fitted
+    rows, pulled = 0.01 * (share @ statics - fitted), fit.root @ fit.scaled_arms
+
+    def on_gains(white: Array) -> Array:
+        return np.asarray(np.sum(pulled.T * (rows.T @ white), axis=1))
+
+    def inverse_of_c(theta: Array) -> Array:
+        white = rows @ (pulled * theta).T
+        by_fit = fit.solved(fit.half_solved(fit.cross(white[:, :, None])))[:, 0]
+        return theta + on_gains(white - fit.white_change(by_fit))
+
+    along = on_gains(fit.white_change(solved))
+    theta, rest = np.zeros_like(along), along.copy()
+    direction, square = rest, float(rest @ rest)
+    wanted = 1e-24 * square
+    while square > wanted:
+        changed = inverse_of_c(direction)
+        curvature = float(direction @ changed)
+        if curvature <= 0.0:  # D_tt exceeds M_tt
+            return along, along
+        theta += square / curvature * direction
+        rest -= square / curvature * changed
+        before, square = square, float(rest @ rest)
+        direction = rest + square / before * direction
+    return along, theta
+
+
+def with_magnets_unsure(fit: FittedRows, effects: Sequence[Finding]) -> Minimum:
+    """Return the minimum with the error that bias magnets have if coils lose force under a load.
+
+    Coils that lose theta may be warmer by theta / `MAGNET_COEFFICIENT`. Then the bias magnets are
+    warmer too, which only TEMPERATURE would show. If the mirror leans they have moved instead, and
+    so have the bias magnets, which only COILGRAD and BIASGRAD show.
+    """
+    minimum = fit.minimum
+    lost = [e for e in effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
+    loads, ratio = fit.problem.campaign.loads, bias_per_gain(fit.problem.campaign)
+    if not lost:
+        return minimum
+    size, where = lost[0].size, [load.name == lost[0].where for load in loads]
+    if not (leaning(loads) & where).any():
+        change = warmer_magnets(fit)
+        size /= MAGNET_COEFFICIENT
+    else:
+        coil, bias = TYPICAL_GRADIENTS
+        change = fit.problem.n * bias / coil * on_loads(fit, where) if ratio is None else None
+    if change is None:
+        return minimum
+    derivative = on_balance(fit, change)
+    return with_error(minimum, scored(fit, derivative).moves, size**2 * np.eye(derivative.count))
+
+
+def with_positions_unsure(fit: FittedRows, effects: Sequence[Finding]) -> Minimum:
+    """Return the minimum with the declared uncertainty of positions in its covariance.
+
+    If the data determine the positions, with their own estimate of the uncertainty instead.
+    """
+    layout = fit.problem.campaign.layout
+    if layout.x_error is None and layout.y_error is None:
+        return fit.minimum
+    if any(effect.code == POSITIONS.code for effect in effects):
+        return fit.minimum  # they are unknowns already
+    taken_out = correction(fit, POSITIONS)
+    if taken_out is not None:
+        return taken_out.minimum
+    errors = np.array(
+        [
+            np.zeros(fit.problem.n) if error is None else error[layout.enabled]
+            for error in (layout.x_error, layout.y_error)
+        ]
+    )
+    minimum, first = fit.minimum, 0
+    for part in parts_of_positions(fit):  # B of all of them does not fit into memory
+        those = errors[:, first : first + part.count // 2]
+        first += part.count // 2
+        minimum = with_error(minimum, scored(fit, part).moves, np.diag(those.ravel() ** 2))
+    return minimum

@@ -44,29 +44,20 @@ Removal = Callable[[Problem, Moments, Array], tuple[Problem, Moments]]
 
 @dataclass(frozen=True, eq=False)
 class FittedRows:
-    """The rows of a campaign at a fit to them (docs/effects.md).
+    """The rows of a campaign at a fit to them (docs/effects.md)."""
 
-    Attributes
-    ----------
-    problem, moments, minimum
-        What was fitted.
-    independent
-        Whether readings are independent of each other, so that the residual of the means also
-        contains information on effects.
-    removed
-        (g, n) contribution to the readings of an effect that is being taken out [N].
-    affected
-        Indices of the actuators that this effect concerns, if only some.
-    found
-        Sums over readings that several effects share, by the name of their field.
-    """
-
+    # What was fitted
     problem: Problem
     moments: Moments
     minimum: Minimum
+    # Whether readings are independent of each other, so that the residual of the means also
+    # contains information on effects
     independent: bool
+    # (g, n) contribution to the readings of an effect that is being taken out [N]
     removed: Array | float = 0.0
+    # Indices of the actuators that this effect concerns, if only some
     affected: NDArray[np.intp] | None = None
+    # Sums over readings that several effects share, by the name of their field
     found: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -206,6 +197,12 @@ class FittedRows:
         jacobian[:, :, n:] = np.tensordot(self.share, self._white_beside, axes=1)
         return jacobian.reshape(-1, self.free)
 
+    def white_change(self, values: Array) -> Array:
+        """Return (R, 3) S^-1/2 J of (free,) changes of the unknowns."""
+        n = self.problem.n
+        by_alpha = self.fitted_rows @ (self.white_arms * values[:n]).T
+        return np.asarray(by_alpha + self.share @ (self._white_beside @ values[n:]))
+
     def cross(self, white: Array) -> Array:
         """Return (k, free) sum of J' S^-1 J_e of (R, 3, k) S^-1/2 J."""
         count, _, k = white.shape
@@ -249,63 +246,38 @@ class FittedRows:
 
 @dataclass(frozen=True, eq=False)
 class OfEach:
-    """J of k parameters that belong to one actuator each: products of arms and rows.
+    """J of k parameters that belong to one actuator each: products of arms and rows."""
 
-    Attributes
-    ----------
-    arms
-        (3, k).
-    rows
-        Makes (R, k), or (R, k / 2) if x and y have the same: only when needed, as it is as large as
-        the readings.
-    score, whole
-        (k,) sum of J' S^-1 rho, and the diagonal of the sum of J' S^-1 J.
-    parts
-        Makes the derivatives of the parameters of a few actuators at a time.
-    """
-
-    arms: Array
+    arms: Array  # (3, k)
+    # Makes (R, k), or (R, k / 2) if x and y have the same: only when needed, as it is as large as
+    # the readings
     rows: Callable[[], Array]
+    # (k,) sum of J' S^-1 rho, and the diagonal of the sum of J' S^-1 J
     score: Array
     whole: Array
+    # Makes the derivatives of the parameters of a few actuators at a time
     parts: Callable[[], Iterator[Derivative]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Derivative:
-    """The derivative of a fit with respect to k parameters of an effect.
+    """The derivative of a fit with respect to k parameters of an effect."""
 
-    Attributes
-    ----------
-    count
-        K.
-    remove
-        Takes an effect of (k,) parameters out of the data.
-    jacobian
-        (R, 3, k) J; None if each actuator has parameters of its own.
-    of_each
-        J of these.
-    score, information
-        (k,) and (k, k) of the residual of the means, 0 if it does not depend on the effect;
-        (K, K, n) if each actuator has K parameters, as those of different ones are independent.
-    spurious
-        Makes (k, n) D_te on alpha and (k, k) D_tt; None if noise of fitted readings does not bias
-        the score.
-    actuators
-        Indices of the actuators that have parameters; None if all, or if parameters are shared.
-    direction
-        (n,) of (K, n) parameters of each actuator, along which nothing changes; only without
-        ``spurious``.
-    """
-
-    count: int
-    remove: Removal
-    jacobian: Array | None = None
-    of_each: OfEach | None = None
+    count: int  # K
+    remove: Removal  # takes an effect of (k,) parameters out of the data
+    jacobian: Array | None = None  # (R, 3, k) J; None if each actuator has parameters of its own
+    of_each: OfEach | None = None  # J of these
+    # (k,) and (k, k) of the residual of the means, 0 if it does not depend on the effect; (K, K, n)
+    # if each actuator has K parameters, as those of different ones are independent
     score: Array | float = 0.0
     information: Array | float = 0.0
+    # Makes (k, n) D_te on alpha and (k, k) D_tt; None if noise of fitted readings does not bias the
+    # score
     spurious: Callable[[], tuple[Array, Array | float]] | None = None
+    # Indices of the actuators that have parameters; None if all, or if parameters are shared
     actuators: NDArray[np.intp] | None = None
+    # (n,) of (K, n) parameters of each actuator, along which nothing changes; only without
+    # ``spurious``
     direction: Array | None = None
 
 
@@ -318,26 +290,13 @@ def without_direction(values: Array, direction: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Score and information of an effect at a fit; k parameters, `free` unknowns of the fit.
+    """Score and information of an effect at a fit; k parameters, `free` unknowns of the fit."""
 
-    Attributes
-    ----------
-    fit
-        The fit.
-    score
-        (k,) U_t.
-    joint
-        (k, k) M_tt.
-    half
-        (free, k) L^-1 (M_te - D_te)', L the Cholesky factor of H.
-    spurious, spurious_information
-        (k, n) D_te on alpha, None if there is none, and (k, k) D_tt.
-    """
-
-    fit: FittedRows
-    score: Array
-    joint: Array
-    half: Array
+    fit: FittedRows  # the fit
+    score: Array  # (k,) U_t
+    joint: Array  # (k, k) M_tt
+    half: Array  # (free, k) L^-1 (M_te - D_te)', L the Cholesky factor of H
+    # (k, n) D_te on alpha, None if there is none, and (k, k) D_tt
     spurious: Array | None
     spurious_information: Array | float
 
@@ -397,17 +356,6 @@ def scored(fit: FittedRows, derivative: Derivative) -> Scored:
         left = partial(without_direction, direction=derivative.direction)
         score, joint, cross = left(score), left(left(joint).T), left(cross.T).T
     return Scored(fit, score, joint, fit.half_solved(cross), spurious, spurious_information)
-
-
-def moves_along(
-    fit: FittedRows, derivatives: Sequence[Derivative], direction: Array
-) -> Iterator[tuple[Array, Array]]:
-    """Yield (k,) B along one (n,) direction of alpha, without all of B, and (k, k) information."""
-    whole = np.concatenate([direction, np.zeros(fit.free - len(direction))])
-    half = fit.half_solved(whole[None]).T
-    for derivative in derivatives:
-        result = scored(fit, derivative)
-        yield (half @ result.half)[0], result.information
 
 
 def _of_all(information: Array | float) -> Array | float:

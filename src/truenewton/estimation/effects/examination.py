@@ -5,67 +5,40 @@ four times. A correction is accepted only if both the balance of the shapes and 
 over loads and signs fit afterwards. Of similarly likely effects the one with the fewest parameters
 is taken. If no correction makes the data fit, none is taken out, and the errors grow with the
 misfit.
-
-Under two loads the sums of the forces at rest are two equations for two unknowns, the common scale
-and B, and no test is possible (docs/effects.md). An effect of parameters theta, of usual size s,
-moves alpha by -B' theta, and the common scale by -(B v)' theta, with v the direction of a common
-factor and B as of any effect (`derivative`). The information in the data reduces this to
-
-    (B v)' C (B v),        C = (H_tt - H_te H^-1 H_et + 1 / s^2)^-1,
-
-which is negligible if they determine the effect, as three loads do. Magnets whose positions have a
-declared uncertainty (columns E_X and E_Y) add to the covariance in the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chi2_cdf, chi2_sf, f_sf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.effects.catalogue import (
     LOAD_REPOSITIONED,
-    POSITIONS,
     ZEROS_OF_EACH,
-    on_balance,
-    on_loads,
-    parts_of_positions,
-    shifted_coils,
+    EffectTest,
+    beside_shared_noise,
+    effect_tests,
+    significant,
 )
 from truenewton.estimation.effects.correction import (
     Correction,
-    EffectTest,
     UnknownForce,
-    beside_shared_noise,
     correction,
     disturbed,
-    effect_tests,
-    significant,
     unknown_force,
     with_error,
 )
-from truenewton.estimation.effects.derivative import (
-    Derivative,
-    FittedRows,
-    Some,
-    moves_along,
-    scored,
-)
-from truenewton.estimation.effects.fields import Field, derivative_of, field_sums
+from truenewton.estimation.effects.derivative import FittedRows
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
-    MAGNET_COEFFICIENT,
-    NEGLIGIBLE_SCALE_ERROR,
     ErrorKind,
     ScaleError,
-    UnseenError,
-    bias_per_gain,
 )
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import Minimum
@@ -77,7 +50,7 @@ from truenewton.estimation.screening.noise import (
     structure_of,
 )
 from truenewton.records.campaign import Campaign, load_temperatures
-from truenewton.statics.load import TYPICAL_GRADIENTS, leaning
+from truenewton.statics.load import leaning
 
 MAX_EFFECTS = 4  # effects at once
 MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any imbalance
@@ -88,31 +61,19 @@ SIMILAR_LOG_PROBABILITY = 0.85  # of the log of the smallest probability: simila
 
 @dataclass(frozen=True, eq=False)
 class ExaminedFit:
-    """A fit after the search for effects.
+    """A fit after the search for effects."""
 
-    Attributes
-    ----------
-    problem, moments, minimum
-        The data without the effects that were taken out, and their fit.
-    effective_parameters
-        Number of parameters of these that the balance determined.
-    effects
-        Findings, the likeliest first.
-    structure
-        How well shapes repeat over loads and signs; None if not tested.
-    correlated
-        Whether noise is correlated from row to row, so that shapes may balance too well.
-    explained
-        Whether the data fit without an effect that was named but not taken out.
-    """
-
+    # The data without the effects that were taken out, and their fit
     problem: Problem
     moments: Moments
     minimum: Minimum
-    effective_parameters: float = 0.0
-    effects: tuple[Finding, ...] = ()
+    effective_parameters: float = 0.0  # number of parameters of these that the balance determined
+    effects: tuple[Finding, ...] = ()  # findings, the likeliest first
+    # How well shapes repeat over loads and signs; None if not tested
     structure: Structure | None = None
+    # Whether noise is correlated from row to row, so that shapes may balance too well
     correlated: bool = False
+    # Whether the data fit without an effect that was named but not taken out
     explained: bool = False
 
     @cached_property
@@ -467,127 +428,3 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
         corrected=corrected is not None and effect.corrected(fit),
         remedy=effect.remedy_of(fit),
     )
-
-
-# -- effects that the data cannot show -------------------------------------------------------------
-
-MIN_REMAINING_SIZE = 0.1  # of the usual size, below which the data determine an effect
-
-
-def static_gain(fit: FittedRows) -> Derivative | None:
-    """Return coil gains that differ by 1 % between elastic forces and those at rest."""
-    if fit.problem.n > 2000:  # with a parameter of each coil, more do not fit into memory
-        return None
-    moments = fit.moments
-    of_load = moments.of_load * moments.weight[:, None]
-    share = (of_load / of_load.sum(axis=0)).T
-
-    def elastic(_: Some, fitted: Array) -> Array:
-        return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
-
-    sums = field_sums(fit, [Field(elastic, moments.weight[None], each=1)])
-    return derivative_of(fit, sums[0], each=True)
-
-
-def supported(fit: FittedRows) -> Derivative:
-    """Return a support of 5 mN of each load but the first."""
-    return on_balance(fit, 5e-3 * on_loads(fit))
-
-
-def warmer_magnets(fit: FittedRows) -> Derivative | None:
-    """Return bias magnets, two each, that are 1 K warmer under each load but the first."""
-    if np.isfinite(load_temperatures(fit.problem.campaign)).all():
-        return None  # E_SYST has it
-    return on_balance(fit, 2 * MAGNET_COEFFICIENT * fit.bias * on_loads(fit))
-
-
-def with_magnets_unsure(left: ExaminedFit) -> Minimum:
-    """Return the minimum with the error that bias magnets have if coils lose force under a load.
-
-    Coils that lose theta may be warmer by theta / `MAGNET_COEFFICIENT`. Then the bias magnets are
-    warmer too, which only TEMPERATURE would show. If the mirror leans they have moved instead, and
-    so have the bias magnets, which only COILGRAD and BIASGRAD show.
-    """
-    minimum, fit = left.minimum, left.rows
-    lost = [e for e in left.effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
-    loads, ratio = fit.problem.campaign.loads, bias_per_gain(fit.problem.campaign)
-    if not lost:
-        return minimum
-    size, where = lost[0].size, [load.name == lost[0].where for load in loads]
-    if not (leaning(loads) & where).any():
-        derivative = warmer_magnets(fit)
-        size /= MAGNET_COEFFICIENT
-    else:
-        coil, bias = TYPICAL_GRADIENTS
-        nearer = fit.problem.n * bias / coil * on_loads(fit, where)
-        derivative = on_balance(fit, nearer) if ratio is None else None
-    if derivative is None:
-        return minimum
-    return with_error(minimum, scored(fit, derivative).moves, size**2 * np.eye(derivative.count))
-
-
-def zero_by_load(fit: FittedRows) -> Derivative:
-    """Return a shift of the zero of all readings under each load but the first."""
-    size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
-    rows = (fit.moments.of_load * fit.moments.weight[:, None]).T[1:]
-    field = Field(lambda *_: np.full((len(fit.moments.mean), 1), size), rows)
-    return derivative_of(fit, field_sums(fit, [field])[0], slice(0, len(rows)))
-
-
-# The derivative by each effect in units of its usual size; None if the error budget contains it.
-UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Derivative | None]] = {
-    "5 mN of an added weight rests on something else": supported,
-    "all force zeros shift under a load by 10 % of the noise of a reading": zero_by_load,
-    "the bias magnets are 1 K warmer under a load": warmer_magnets,
-    "the coils move by 5 um as the mirror leans": shifted_coils,
-    "coil gains differ by 1 % between static and elastic forces": static_gain,
-}
-
-
-def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
-    """Return the influence of undetectable effects on the common scale, the largest first."""
-    found, fit = list[UnseenError](), left.rows
-    made = {name: derivative_at(fit) for name, derivative_at in UNDETECTABLE_EFFECTS.items()}
-    some = {name: derivative for name, derivative in made.items() if derivative is not None}
-    # Of a relative change of all: alpha -> alpha (1 + e).
-    direction = fit.alpha / (fit.alpha @ fit.alpha)
-    for name, (along, information) in zip(
-        some, moves_along(fit, list(some.values()), direction), strict=True
-    ):
-        information += np.eye(len(along))  # in units of 1 / s^2
-        try:
-            left_open = scipy.linalg.solve(information, along, assume_a="pos")
-        except np.linalg.LinAlgError:  # D_tt exceeds M_tt
-            left_open = along
-        moved = float(np.sqrt(along @ left_open))
-        if moved > max(NEGLIGIBLE_SCALE_ERROR, MIN_REMAINING_SIZE * float(np.linalg.norm(along))):
-            found.append(UnseenError(name, moved))
-    return tuple(sorted(found, key=lambda error: -error.relative))
-
-
-def with_positions_unsure(left: ExaminedFit) -> Minimum:
-    """Return the minimum with the declared uncertainty of positions in its covariance.
-
-    If the data determine the positions, with their own estimate of the uncertainty instead.
-    """
-    layout = left.problem.campaign.layout
-    if layout.x_error is None and layout.y_error is None:
-        return left.minimum
-    if any(effect.code == POSITIONS.code for effect in left.effects):
-        return left.minimum  # they are unknowns already
-    fit = left.rows
-    taken_out = correction(fit, POSITIONS)
-    if taken_out is not None:
-        return taken_out.minimum
-    errors = np.array(
-        [
-            np.zeros(fit.problem.n) if error is None else error[layout.enabled]
-            for error in (layout.x_error, layout.y_error)
-        ]
-    )
-    minimum, first = left.minimum, 0
-    for part in parts_of_positions(fit):  # B of all of them does not fit into memory
-        those = errors[:, first : first + part.count // 2]
-        first += part.count // 2
-        minimum = with_error(minimum, scored(fit, part).moves, np.diag(those.ravel() ** 2))
-    return minimum

@@ -37,28 +37,17 @@ CHANCE_OF_ANY_ACTUATOR = 1e-2 * OF_EACH_KIND  # that any actuator of a sound mir
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A field e, and K functions h of a row by which readings may change along it.
+    """A field e, and K functions h of a row by which readings may change along it."""
 
-    Attributes
-    ----------
-    values
-        Makes (g, b) e of some actuators from their (g, b) c^ as recorded [N]; (g, 1) if it is
-        the same for all.
-    first
-        (K, g) weighted sums of h over the rows of each group.
-    within
-        Number of functions, the first ones, that differ within a group (`moments.WithinGroups`).
-    each
-        Number of functions, the first ones, whose sums are needed of each actuator.
-    gain
-        Whether e is -c^, and -c_mean within a group; then noise biases the score. Otherwise e is 1
-        within a group.
-    """
-
+    # Makes (g, b) e of some actuators from their (g, b) c^ as recorded [N]; (g, 1) if it is the
+    # same for all
     values: Callable[[Some, Array], Array]
-    first: Array
+    first: Array  # (K, g) weighted sums of h over the rows of each group
+    # Number of functions, the first ones, that differ within a group (`moments.WithinGroups`)
     within: int = 0
-    each: int = 0
+    each: int = 0  # number of functions, the first ones, whose sums are needed of each actuator
+    # Whether e is -c^, and -c_mean within a group; then noise biases the score. Otherwise e is 1
+    # within a group.
     gain: bool = False
 
     def at(self, fit: FittedRows, some: Some = slice(None)) -> Array:
@@ -86,32 +75,20 @@ def functions_with(moments: Moments, of_groups: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FieldSums:
-    """Sums over the rows of a fit, of a field with K functions h of k different means.
+    """Sums over the rows of a fit, of a field with K functions h of k different means."""
 
-    Attributes
-    ----------
-    field
-        The field.
-    kind
-        (K,) which of the k means a function has: those of several files are often the same.
-    jacobian
-        (R, 3, k) J of parameters that all actuators share.
-    score, information
-        (K,) and (K, K) of what pooled rows leave, of such parameters.
-    each_score, each_information
-        (each, n) and (each, each, n) of parameters of each actuator.
-    each_square, each_pull
-        (k, k, n) sums over the R rows of products of U' r h e, and (3, k, n) of S^-1/2 rho times
-        U' r h e, of the means of the first ``each`` functions.
-    """
-
-    field: Field
+    field: Field  # the field
+    # (K,) which of the k means a function has: those of several files are often the same
     kind: NDArray[np.intp]
-    jacobian: Array
+    jacobian: Array  # (R, 3, k) J of parameters that all actuators share
+    # (K,) and (K, K) of what pooled rows leave, of such parameters
     score: Array
     information: Array
+    # (each, n) and (each, each, n) of parameters of each actuator
     each_score: Array
     each_information: Array
+    # (k, k, n) sums over the R rows of products of U' r h e, and (3, k, n) of S^-1/2 rho times U' r
+    # h e, of the means of the first ``each`` functions
     each_square: Array
     each_pull: Array
 

@@ -48,27 +48,15 @@ from truenewton.statics.load import Load
 
 @dataclass(frozen=True, eq=False)
 class ShapeSums:
-    """Sums over shapes under L loads, each shape counted with its weight r.
+    """Sums over shapes under L loads, each with its weight r; q is its known balance."""
 
-    Attributes
-    ----------
-    shapes
-        Number of distinct shapes, each with noise of its own.
-    weight, force, known
-        (L,), (L, n) and (L, 3) sums of r, r c and r q of each load; q is the known balance.
-    square
-        (n, n) sum of r c c' over all loads.
-    known_force, known_square
-        (3, n) and (3, 3) sums of r q c' and r q q' over all loads.
-    """
-
-    shapes: int
-    weight: Array
-    force: Array
-    square: Array
-    known: Array
-    known_force: Array
-    known_square: Array
+    shapes: int  # number of distinct shapes, each with noise of its own
+    weight: Array  # (L,) sum of r of each load
+    force: Array  # (L, n) sum of r c
+    square: Array  # (n, n) sum of r c c' over all loads
+    known: Array  # (L, 3) sum of r q
+    known_force: Array  # (3, n) sum of r q c' over all loads
+    known_square: Array  # (3, 3) sum of r q q' over all loads
 
 
 def shape_sums(mean: Array, weight: Array, known: Array, share: Array) -> ShapeSums:
@@ -187,24 +175,14 @@ class WithinGroups:
     """Differences of the rows of one group by file and by hour, files + 1 functions h of a row.
 
     For each file h is 1 in it and 0 elsewhere; the last h is the hours since the mean of all rows.
-
-    Attributes
-    ----------
-    weight, hour
-        (files, g) sums of the weights and of the weighted hours of the rows of each group, by file.
-    square
-        (g,) weighted sum of the squared hours.
-    mean
-        (g, n) c_mean, as the rows have it [N].
-    zero, gain
-        (files + 1, n) weighted sums over all rows of h (c - c_mean) [N], and of the same times
-        c_mean.
     """
 
+    # (files, g) sums of the weights and of the weighted hours of the rows of each group, by file
     weight: Array
     hour: Array
-    square: Array
-    mean: Array
+    square: Array  # (g,) weighted sum of the squared hours
+    mean: Array  # (g, n) c_mean, as the rows have it [N]
+    # (files + 1, n) weighted sums over all rows of h (c - c_mean) [N], and of the same times c_mean
     zero: Array
     gain: Array
 
@@ -216,48 +194,23 @@ class WithinGroups:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Moments of the groups of rows that repeat one shape.
+    """Moments of the groups of rows that repeat one shape."""
 
-    Attributes
-    ----------
-    loads
-        The L loads.
-    labels
-        (g, 3) index of the load, SHAPE, SIGN; sorted.
-    rows
-        (g,) number of rows; 0, as its weight, for a group that is left out.
-    weight
-        (g,) sum of the weights of the rows; their number where no file declares its noise.
-    mean
-        (g, n) mean commanded force of the enabled actuators, COILGRAD taken in [N].
-    known
-        (g, 3) mean of the known part of the balance: A (BIASGRAD z).
-    scatter
-        (n,) weighted sum of squared deviations of rows from their group's mean [N^2].
-    reference
-        (n,) readings from which displacements count [m]; NaN where from the mean of each cycle.
-    within
-        Differences of the rows of one group by file and by hour.
-    pooled
-        Whether shapes repeat over loads and signs as well.
-    displacement
-        (g, n) mean displacement of each sensor [m]; None without POSITION.
-    step
-        (n,) of which readings are multiples [N], or 0.
-    """
-
-    loads: tuple[Load, ...]
-    labels: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    loads: tuple[Load, ...]  # the L loads
+    labels: NDArray[np.int64]  # (g, 3) index of the load, SHAPE, SIGN; sorted
+    rows: NDArray[np.int64]  # (g,) number of rows; 0, as its weight, for a group that is left out
+    # (g,) sum of the weights of the rows; their number where no file declares its noise
     weight: Array
-    mean: Array
-    known: Array
-    scatter: Array
+    mean: Array  # (g, n) mean commanded force of the enabled actuators, COILGRAD taken in [N]
+    known: Array  # (g, 3) mean of the known part of the balance: A (BIASGRAD z)
+    scatter: Array  # (n,) weighted sum of squared deviations of rows from their group's mean [N^2]
+    # (n,) readings from which displacements count [m]; NaN where from the mean of each cycle
     reference: Array
-    within: WithinGroups
-    pooled: bool = False
+    within: WithinGroups  # differences of the rows of one group by file and by hour
+    pooled: bool = False  # whether shapes repeat over loads and signs as well
+    # (g, n) mean displacement of each sensor [m]; None without POSITION
     displacement: Array | None = None
-    step: Array | float = 0.0
+    step: Array | float = 0.0  # (n,) of which readings are multiples [N], or 0
 
     @cached_property
     def groups(self) -> int:

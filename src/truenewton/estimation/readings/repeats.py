@@ -298,23 +298,15 @@ class RowPrints:
 
 @dataclass(frozen=True, eq=False)
 class RowBlock:
-    """Some of the rows of a cycle that count, m of them, which follow each other.
+    """Some of the rows of a cycle that count, m of them, which follow each other."""
 
-    Attributes
-    ----------
-    cycle_index, cycle
-        The cycle in its campaign.
-    rows, last
-        Which of its rows that count; whether these are the last of them.
-    force
-        (m, n) commanded forces of the enabled actuators [N].
-    """
-
+    # The cycle in its campaign
     cycle_index: int
     cycle: Cycle
+    # Which of its rows that count; whether these are the last of them
     rows: slice
     last: bool
-    force: Array
+    force: Array  # (m, n) commanded forces of the enabled actuators [N]
 
     @cached_property
     def position(self) -> Array:

@@ -77,34 +77,21 @@ def is_displaced(cycle: Cycle) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class BalancedRows:
-    """The rows of a cycle, corrected for POSITION.
+    """The rows of a cycle, corrected for POSITION."""
 
-    Attributes
-    ----------
-    force, position
-        (N, all) commanded forces [N] and readings [m], in memory or in their file; position is None
-        if it does not change the balance.
-    enabled
-        (all,) which of the actuators take part, n of them.
-    a
-        (3, n) arms of these.
-    zero
-        (n,) readings from which displacements relative to the coils count [m]; of coils that have
-        shifted by COILZ, without POSITION, the shift itself.
-    coil, bias
-        COILGRAD [1/m] and BIASGRAD [N/m], 0 without.
-    shifted
-        Whether the coils have moved along z.
-    """
-
+    # (N, all) commanded forces [N] and readings [m], in memory or in their file; position is None
+    # if it does not change the balance
     force: Rows
     position: Rows | None
-    enabled: NDArray[np.bool_]
-    a: Array
+    enabled: NDArray[np.bool_]  # (all,) which of the actuators take part, n of them
+    a: Array  # (3, n) arms of these
+    # (n,) readings from which displacements relative to the coils count [m]; of coils that have
+    # shifted by COILZ, without POSITION, the shift itself
     zero: Array
+    # COILGRAD [1/m] and BIASGRAD [N/m], 0 without
     coil: float
     bias: float
-    shifted: bool = False
+    shifted: bool = False  # whether the coils have moved along z
 
     def read(self, rows: Selection) -> tuple[Array, Array | None]:
         """Read (m, n) forces [N] and readings [m] of some rows."""
@@ -218,34 +205,18 @@ def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 
 @dataclass(frozen=True, eq=False)
 class FileRows:
-    """Rows of one file, at most one of each group, not yet read.
+    """Rows of one file, at most one of each group, not yet read."""
 
-    Attributes
-    ----------
-    file, row
-        Index of the cycle, and (m,) rows of its MEASUREMENTS.
-    group
-        (m,) their groups in ascending order; in a block, counted from its first.
-    hour
-        (m,) hours since the mean of all cycles.
-    sampled
-        (m,) whether their deviations are kept.
-    printed
-        (m,) their labels, SHAPE times SIGN, if prints are taken of them; otherwise 0.
-    weight
-        Of a row.
-    balanced
-        Reads them.
-    """
-
+    # Index of the cycle, and (m,) rows of its MEASUREMENTS
     file: int
     row: NDArray[np.int64]
-    group: Selection
-    hour: Array
-    sampled: NDArray[np.bool_]
+    group: Selection  # (m,) their groups in ascending order; in a block, counted from its first
+    hour: Array  # (m,) hours since the mean of all cycles
+    sampled: NDArray[np.bool_]  # (m,) whether their deviations are kept
+    # (m,) their labels, SHAPE times SIGN, if prints are taken of them; otherwise 0
     printed: NDArray[np.int64]
-    weight: float
-    balanced: BalancedRows
+    weight: float  # of a row
+    balanced: BalancedRows  # reads them
 
     def within(self, block: slice) -> FileRows | None:
         """Return the rows of a block of groups; None if there is none."""
@@ -314,22 +285,13 @@ class ReadRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GroupBlock:
-    """A block of groups, with the rows that are not left out.
+    """A block of groups, with the rows that are not left out."""
 
-    Attributes
-    ----------
-    index, span
-        Which of the blocks, and which groups are in it, in the order in which they come.
-    parts
-        Rows of a file, at most one of each group.
-    heaviest
-        Largest weight of a row of the campaign.
-    """
-
+    # Which of the blocks, and which groups are in it, in the order in which they come
     index: int
     span: slice
-    parts: tuple[FileRows, ...]
-    heaviest: float
+    parts: tuple[FileRows, ...]  # rows of a file, at most one of each group
+    heaviest: float  # largest weight of a row of the campaign
 
     @property
     def groups(self) -> int:
@@ -433,31 +395,18 @@ the last, of all files and times the hour."""
 
 @dataclass(frozen=True, eq=False)
 class BlockSums:
-    """Sums over the rows of a block.
+    """Sums over the rows of a block."""
 
-    Attributes
-    ----------
-    block
-        Which of the blocks.
-    mean, known
-        (groups, n) and (groups, 3) means over the rows of a group [N].
-    scatter
-        (n,) weighted sum of squared deviations from these [N^2].
-    furthest
-        (n,) largest distance of a row from the mean of the others of its group, divided by its
-        noise over that of a row of weight 1 [N].
-    sample
-        (m, n) deviations of some rows from the others of their groups, at weight 1 [N].
-    printed
-        Rows of which prints are taken: of some files the index, labels and (m, n) readings [N].
-    """
-
-    block: int
+    block: int  # which of the blocks
+    # (groups, n) and (groups, 3) means over the rows of a group [N]
     mean: Array
     known: Array
-    scatter: Array
+    scatter: Array  # (n,) weighted sum of squared deviations from these [N^2]
+    # (n,) largest distance of a row from the mean of the others of its group, divided by its noise
+    # over that of a row of weight 1 [N]
     furthest: Array
-    sample: Array
+    sample: Array  # (m, n) deviations of some rows from the others of their groups, at weight 1 [N]
+    # Rows of which prints are taken: of some files the index, labels and (m, n) readings [N]
     printed: list[tuple[int, NDArray[np.int64], Array]]
 
 
