@@ -190,26 +190,26 @@ MIN_REMAINING_SIZE = 0.1  # of the usual size, below which the data determine an
 
 
 def supported(fit: FittedRows) -> Array:
-    """Return a support of 5 mN of each load but the first."""
+    """Return a support of 5 mN of each load but the first, (g, 3, L - 1)."""
     return 5e-3 * on_loads(fit)
 
 
 def zero_by_load(fit: FittedRows) -> Array:
-    """Return a shift of the zero of all readings under each load but the first."""
+    """Return a shift of the zero of all readings under each load but the first, (g, 3, L - 1)."""
     size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
     moved = size * fit.scaled_arms.sum(axis=1)
     return np.asarray(moved[None, :, None] * fit.moments.of_load[:, None, 1:])
 
 
 def warmer_magnets(fit: FittedRows) -> Array | None:
-    """Return bias magnets, two each, that are 1 K warmer under each load but the first."""
+    """Return bias magnets, two each, 1 K warmer under each load but the first, (g, 3, L - 1)."""
     if np.isfinite(load_temperatures(fit.problem.campaign)).all():
         return None  # E_SYST has it
     return 2 * MAGNET_COEFFICIENT * fit.bias * on_loads(fit)
 
 
 def shifted_coils(fit: FittedRows) -> Array | None:
-    """Return coils that move by 5 um under each load under which the mirror leans.
+    """Return coils that move by 5 um under each of K loads under which the mirror leans, (g, 3, K).
 
     Elastic forces would show it as a gain by load, but only POSITION tells that from larger shapes,
     and only gradients tell by how much bias magnets change.
