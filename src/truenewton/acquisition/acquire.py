@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.acquisition.folder import (
+    Finished,
     Journal,
     SteadyClock,
     begin_or_resume,
@@ -30,7 +31,6 @@ from truenewton.acquisition.taker import (
     Guard,
     Interruption,
     Onlooker,
-    Progress,
     RunLog,
     SilentOnlooker,
     Taker,
@@ -130,36 +130,14 @@ def acquire(
         files = tuple(folder / name for name in cycle_names(plan))
         if len(complete) == len(files):
             return files
-        progress = _progress(bench, plan, len(shapes), len(complete))
         with closing(RunLog(folder)) as log:
             run = Run(
-                plan=plan,
-                mirror=mirror,
-                layout=layout,
-                shapes=shapes,
-                folder=folder,
-                operator=operator,
-                taker=Taker(bench, plan, log, onlooker or SilentOnlooker(), interruption, progress),
-                complete=complete,
-                rest_sums={key: c.total for (key, _), c in complete.items() if c.total is not None},
-                clock=SteadyClock(max((each.end for each in complete.values()), default=None)),
-            )
-            _note_start(run)
-            with _at_rest_in_the_end(run):
-                take_all(run)
+                bench, plan, log, onlooker or SilentOnlooker(), interruption,
+                mirror, layout, shapes, folder, operator, complete,
+            )  # fmt: skip
+            with run.noted():
+                run.take_all()
         return files
-
-
-def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
-    """Return the progress of a campaign of so many shapes, with so many cycles complete."""
-    return Progress(
-        shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
-        cycles=plan.cycles,
-        shapes=shapes,
-        done=2 * shapes * complete,
-        total=2 * shapes * plan.cycles * len(plan.loads),
-        smallest_gap=bench.gap,
-    )
 
 
 def _agreed(
@@ -182,56 +160,6 @@ def _agreed(
         gradients_of(bench)  # refused now, not when the first cycle is complete
         return mirror, recorded
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
-
-
-def _note_start(run: Run) -> None:
-    bench, choice = run.taker.bench, run.plan.bench
-    run.taker.log.note(
-        "start",
-        truenewton=version("truenewton"),
-        python=platform.python_version(),
-        host=platform.node(),
-        process=os.getpid(),
-        bench=type(bench).__name__,
-        kind=choice.kind,
-        address=choice.address,
-        instrument=bench.instrument,
-        actuators=bench.layout.n,
-        gap=bench.gap,
-        complete=len(run.complete),
-    )
-
-
-@contextmanager
-def _at_rest_in_the_end(run: Run) -> Iterator[None]:
-    """Bring the mirror to rest whatever happens, and add to an error how to continue."""
-    log = run.taker.log
-    try:
-        yield
-        run.taker.rest()
-    except BaseException as error:
-        with suppress(OutputFailed):  # a full disk must not keep the mirror from its rest
-            log.note("stop", error=type(error).__name__, why=str(error))
-        try:
-            run.taker.bench.rest()
-        except BenchFault as fault:
-            with suppress(OutputFailed):
-                log.note("not at rest", fault=fault.fault)
-            why = error.fault if isinstance(error, TrueNewtonError) else error
-            raise BenchFault(
-                f"the mirror may not be at rest ({fault.fault}), after: {why}",
-                remedy="check the bench; the same command goes on with the campaign",
-                path=run.folder,
-            ) from error
-        with suppress(OutputFailed):
-            log.note("rest")
-        if isinstance(error, TrueNewtonError):
-            then = "the mirror is at rest, what was taken is kept; the same command goes on"
-            then += ", once that is corrected" if isinstance(error, LimitExceeded) else ""
-            remedy = f"{error.remedy}; {then}" if error.remedy else then
-            raise located(error, run.folder).changed(remedy=remedy) from error
-        raise
-    log.note("complete", invalid=run.taker.progress.invalid)
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
@@ -262,144 +190,185 @@ def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") ->
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """A run of a plan: what is to be taken, by what, and into which folder."""
+@dataclass(eq=False)
+class Run(Taker):
+    """A run of a plan: takes what is missing of a campaign into its folder."""
 
-    plan: CampaignPlan
     mirror: Mirror
     layout: Layout  # the actuators as files name and place them
     shapes: Array  # (shapes, n) [m]
     folder: Path
     operator: Operator
-    taker: Taker
-    complete: Collection[tuple[str, int]]  # loads and numbers of cycles that need not be taken
-    rest_sums: dict[str, float]  # of the forces at rest under the loads that were on [N], by key
-    clock: SteadyClock  # goes on after the last instant of the campaign
+    complete: dict[tuple[str, int], Finished]  # by loads and numbers of cycles
+    rest_sums: dict[str, float] = field(default_factory=dict)  # under loads that were on [N]
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._planned = list(product(range(1, len(self.shapes) + 1), (1, -1)))
+        every, done = len(self.plan.loads) * self.plan.cycles, len(self.complete)
+        rows = len(self._planned)
+        self.progress = replace(self.progress, shapes=len(self.shapes), done=rows * done,
+                                total=rows * every)  # fmt: skip
+        for (key, _), cycle in self.complete.items():
+            if cycle.total is not None:
+                self.rest_sums[key] = cycle.total
+        ends = [cycle.end for cycle in self.complete.values()]
+        self._clock = SteadyClock(max(ends, default=None))
 
-def take_all(run: Run) -> None:
-    """Take all cycles that are missing, in the order of the plan."""
-    order = mountings(run.plan)
-    for index, mounting in enumerate(order):
-        load = mounting.load
-        missing = [number for number in mounting.cycles if (load.key, number) not in run.complete]
-        if missing:
-            if run.plan.turns > 1:
-                run.taker.onlooker.say(mounting_words(order, index))
-            rest_force = _put_on(run, load, missing[0])
-            for number in missing:
-                _take_cycle(run, load, number, rest_force)
-
-
-def _put_on(run: Run, load: Load, number: int, *, again: bool = False) -> Array:
-    """Have a load put on until the forces show that it is on; return those at rest, (n,) [N].
-
-    With ``again``, a person is asked only if the forces do not show that the load is still on.
-    """
-    run.taker.rest()
-    bench: object = run.taker.bench
-    sums, layout, message = run.rest_sums, run.taker.bench.layout, ""
-    if load.key not in sums and journal_path(run.folder, load, number).exists():
-        with closing(Journal(run.folder, load, number, layout.n)) as journal:
-            rows = journal.rows()
-        columns = (rows[name] for name in ("force", "shape", "sign", "valid"))
-        if (before := mean_sum(layout, *columns)) is not None:
-            sums[load.key] = before
-    rest = Shape(load, number, 0, 1, np.zeros(layout.n))
-    ask = not again or run.operator is bench
-    for _ in range(MAX_REQUESTS):
-        if ask:
-            with run.taker.interruption.at_once():
-                run.operator.put_on(load)
-        reading, fault = run.taker.take(rest)
-        if reading is None or fault:
-            raise BenchFault(f"no valid reading at rest: {fault}", remedy="check the bench")
-        total = sum_at_rest(layout, reading.force)
-        error = sum_error(layout, reading, run.plan.samples)
-        on, why = judge(run.mirror.weight, run.plan.loads, load, sums, total, error)
-        run.taker.log.note("load", load=load.name, on=on, total=total, why=why)
-        message = f"'{load.name}' is {'not ' if on is False else ''}on: {why}"
-        run.taker.onlooker.say(message)
-        if on or (ask and on is None):
-            sums[load.key] = total
-            run.taker.guard.check_room(run.plan, run.mirror, load, reading.force)
-            return reading.force
-        ask = True
-    raise BenchFault(
-        message,
-        remedy="put it on as the plan specifies; if it is on, check that Force is the whole"
-        " commanded force, positive along +z (docs/hardware.md)",
-    )
-
-
-def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
-    """Take the missing shapes of a cycle, and write its file."""
-    planned = list(product(range(1, len(run.shapes) + 1), (1, -1)))
-    with closing(Journal(run.folder, load, number, run.taker.bench.layout.n)) as journal:
-        if journal.count or journal.dropped:
-            run.taker.log.note(
-                "resume", load=load.name, cycle=number, kept=journal.count, cut=journal.dropped
-            )
-        if journal.count:
-            done = run.taker.progress.done + journal.count
-            run.taker.progress = replace(run.taker.progress, done=done)
-            run.clock.go_on_after(int(journal.rows()["instant"][-1]))
-        twin: Array | None = None
-        if journal.count % 2:  # as its + twin the last one on record counts, which was valid
-            twin = np.array(journal.rows()["force"][-1])
-        for shape_number, sign in planned[journal.count :]:
-            # The mirror answers in proportion: what + takes beyond rest, - takes short of it.
-            forecast = None if twin is None or sign > 0 else 2 * rest_force - twin
-            position = sign * run.shapes[shape_number - 1]
-            wanted = Shape(load, number, shape_number, sign, position)
-            twin = _take_shape(run, journal, wanted, forecast)
-        cycle = journal.cycle(run.mirror, run.layout, run.taker.bench)
-        path = run.folder / cycle_name(load, number)
-        write_cycle(cycle, path)
-        to_disk(run.folder)  # from here on the cycle is safe
-        run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
-        del cycle  # its rows are mapped from the journal, which Windows would not remove
-    remove_journal(run.folder, load, number)
-
-
-def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
-    """Take one shape into the journal; return its forces [N] if they are valid."""
-    taker = run.taker
-    try:
-        taker.interruption.check()
-        reading, fault = taker.take(shape, forecast, lambda why: _put_on_again(run, shape, why))
-    except Interrupted:
-        raise Interrupted(f"stopped as asked, before {shape_name(shape)}") from None
-    sound = None if fault else reading
-    instant = run.clock.instant(sound.time if sound else None)
-    journal.append(instant, shape, not fault, reading, force_noise(taker.bench.layout, reading))
-    now = taker.progress
-    in_a_row = now.invalid_in_a_row + 1 if fault else 0
-    taker.progress = replace(
-        now,
-        shape=shape,
-        done=now.done + 1,
-        invalid=now.invalid + bool(fault),
-        invalid_in_a_row=in_a_row,
-    )
-    taker.onlooker.progress(taker.progress)
-    at_end = (shape.number, shape.sign) == (len(run.shapes), -1)
-    if in_a_row == MAX_INVALID_IN_A_ROW or (at_end and in_a_row >= MAX_INVALID_AT_END):
-        raise BenchFault(
-            f"{in_a_row} shapes in a row gave no valid reading, the last {shape_name(shape)}:"
-            f" {fault}",
-            remedy="check the bench",
+    @contextmanager
+    def noted(self) -> Iterator[None]:
+        """Bring the mirror to rest whatever happens, and add to an error how to continue."""
+        log, bench, choice = self.log, self.bench, self.plan.bench
+        log.note(
+            "start",
+            truenewton=version("truenewton"),
+            python=platform.python_version(),
+            host=platform.node(),
+            process=os.getpid(),
+            bench=type(bench).__name__,
+            kind=choice.kind,
+            address=choice.address,
+            instrument=bench.instrument,
+            actuators=bench.layout.n,
+            gap=bench.gap,
+            complete=len(self.complete),
         )
-    return sound.force if sound else None
+        try:
+            yield
+            self.rest()
+        except BaseException as error:
+            with suppress(OutputFailed):  # a full disk must not keep the mirror from its rest
+                log.note("stop", error=type(error).__name__, why=str(error))
+            try:
+                bench.rest()
+            except BenchFault as fault:
+                with suppress(OutputFailed):
+                    log.note("not at rest", fault=fault.fault)
+                why = error.fault if isinstance(error, TrueNewtonError) else error
+                raise BenchFault(
+                    f"the mirror may not be at rest ({fault.fault}), after: {why}",
+                    remedy="check the bench; the same command goes on with the campaign",
+                    path=self.folder,
+                ) from error
+            with suppress(OutputFailed):
+                log.note("rest")
+            if isinstance(error, TrueNewtonError):
+                then = "the mirror is at rest, what was taken is kept; the same command goes on"
+                then += ", once that is corrected" if isinstance(error, LimitExceeded) else ""
+                remedy = f"{error.remedy}; {then}" if error.remedy else then
+                raise located(error, self.folder).changed(remedy=remedy) from error
+            raise
+        log.note("complete", invalid=self.progress.invalid)
 
+    def take_all(self) -> None:
+        """Take all cycles that are missing, in the order of the plan."""
+        order = mountings(self.plan)
+        for index, (load, cycles) in enumerate((each.load, each.cycles) for each in order):
+            if missing := [each for each in cycles if (load.key, each) not in self.complete]:
+                if self.plan.turns > 1:
+                    self.onlooker.say(mounting_words(order, index))
+                rest_force = self._put_on(load, missing[0])
+                for number in missing:
+                    self._take_cycle(load, number, rest_force)
 
-def _put_on_again(run: Run, shape: Shape, why: str) -> None:
-    """Have the load of a shape put on again, as after a server was restarted."""
-    load = shape.load
-    run.taker.log.note("load again", shape, why=why)
-    run.taker.onlooker.say(
-        f"the bench refuses a shape ({why}): it may have lost its load; '{load.name}' is put on"
-        " again"
-    )
-    _put_on(run, load, shape.cycle, again=True)
+    def _put_on(self, load: Load, number: int, *, again: bool = False) -> Array:
+        """Have a load put on until the forces show that it is; return those at rest, (n,) [N].
+
+        With ``again``, a person is asked only if the forces do not show that the load is still on.
+        """
+        self.rest()
+        bench: object = self.bench
+        sums, layout, message = self.rest_sums, self.bench.layout, ""
+        if load.key not in sums and journal_path(self.folder, load, number).exists():
+            with closing(Journal(self.folder, load, number, layout.n)) as journal:
+                rows = journal.rows()
+            columns = (rows[name] for name in ("force", "shape", "sign", "valid"))
+            if (before := mean_sum(layout, *columns)) is not None:
+                sums[load.key] = before
+        rest = Shape(load, number, 0, 1, np.zeros(layout.n))
+        ask = not again or self.operator is bench
+        for _ in range(MAX_REQUESTS):
+            if ask:
+                with self.interruption.at_once():
+                    self.operator.put_on(load)
+            reading, fault = self.take(rest)
+            if reading is None or fault:
+                raise BenchFault(f"no valid reading at rest: {fault}", remedy="check the bench")
+            total = sum_at_rest(layout, reading.force)
+            error = sum_error(layout, reading, self.plan.samples)
+            on, why = judge(self.mirror.weight, self.plan.loads, load, sums, total, error)
+            self.log.note("load", load=load.name, on=on, total=total, why=why)
+            message = f"'{load.name}' is {'not ' if on is False else ''}on: {why}"
+            self.onlooker.say(message)
+            if on or (ask and on is None):
+                sums[load.key] = total
+                self.guard.check_room(self.plan, self.mirror, load, reading.force)
+                return reading.force
+            ask = True
+        raise BenchFault(
+            message,
+            remedy="put it on as the plan specifies; if it is on, check that Force is the whole"
+            " commanded force, positive along +z (docs/hardware.md)",
+        )
+
+    def _take_cycle(self, load: Load, number: int, rest_force: Array) -> None:
+        """Take the missing shapes of a cycle, and write its file."""
+        with closing(Journal(self.folder, load, number, self.bench.layout.n)) as journal:
+            count, twin = journal.count, None
+            if count or journal.dropped:
+                self.log.note(
+                    "resume", load=load.name, cycle=number, kept=count, cut=journal.dropped
+                )
+            if count:
+                self.progress = replace(self.progress, done=self.progress.done + count)
+                self._clock.go_on_after(int(journal.rows()["instant"][-1]))
+            if count % 2:  # as its + twin the last one on record counts, which was valid
+                twin = np.array(journal.rows()["force"][-1])
+            for shape_number, sign in self._planned[count:]:
+                # The mirror answers in proportion: what + takes beyond rest, - takes short of it.
+                forecast = None if twin is None or sign > 0 else 2 * rest_force - twin
+                position = sign * self.shapes[shape_number - 1]
+                wanted = Shape(load, number, shape_number, sign, position)
+                twin = self._take_shape(journal, wanted, forecast)
+            cycle = journal.cycle(self.mirror, self.layout, self.bench)
+            path = self.folder / cycle_name(load, number)
+            write_cycle(cycle, path)
+            to_disk(self.folder)  # from here on the cycle is safe
+            self.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
+            del cycle  # its rows are mapped from the journal, which Windows would not remove
+        remove_journal(self.folder, load, number)
+
+    def _take_shape(self, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
+        """Take one shape into the journal; return its forces [N] if they are valid."""
+
+        def put_on_again(why: str) -> None:  # as after a server was restarted
+            self.log.note("load again", shape, why=why)
+            self.onlooker.say(
+                f"the bench refuses a shape ({why}): it may have lost its load; '{shape.load.name}'"
+                " is put on again"
+            )
+            self._put_on(shape.load, shape.cycle, again=True)
+
+        try:
+            self.interruption.check()
+            reading, fault = self.take(shape, forecast, put_on_again)
+        except Interrupted:
+            raise Interrupted(f"stopped as asked, before {shape_name(shape)}") from None
+        sound = None if fault else reading
+        instant = self._clock.instant(sound.time if sound else None)
+        noise = force_noise(self.bench.layout, reading)
+        journal.append(instant, shape, not fault, reading, noise)
+        now = self.progress
+        in_a_row = now.invalid_in_a_row + 1 if fault else 0
+        self.progress = replace(now, shape=shape, done=now.done + 1,
+                                invalid=now.invalid + bool(fault),
+                                invalid_in_a_row=in_a_row)  # fmt: skip
+        self.onlooker.progress(self.progress)
+        at_end = (shape.number, shape.sign) == self._planned[-1]
+        if in_a_row == MAX_INVALID_IN_A_ROW or (at_end and in_a_row >= MAX_INVALID_AT_END):
+            raise BenchFault(
+                f"{in_a_row} shapes in a row gave no valid reading, the last {shape_name(shape)}:"
+                f" {fault}",
+                remedy="check the bench",
+            )
+        return sound.force if sound else None

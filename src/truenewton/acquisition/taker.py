@@ -293,10 +293,10 @@ class Progress:
 
     shape: Shape  # the one just taken
     cycles: int  # under each load
-    shapes: int  # of each cycle, to be taken with both signs
-    done: int  # shapes of the whole campaign
-    total: int
     smallest_gap: float  # so far in this run [m]
+    shapes: int = 0  # of each cycle, to be taken with both signs
+    done: int = 0  # shapes of the whole campaign
+    total: int = 0
     largest_force: float = 0.0  # [N]
     invalid: int = 0  # shapes of this run that are not valid
     invalid_in_a_row: int = 0  # of the last ones
@@ -331,10 +331,12 @@ class Taker:
     log: RunLog
     onlooker: Onlooker
     interruption: Interruption
-    progress: Progress
 
     def __post_init__(self) -> None:
-        self.guard = Guard(self.plan.limits, self.bench.layout, self.bench.gap)
+        plan, bench = self.plan, self.bench
+        self.guard = Guard(plan.limits, bench.layout, bench.gap)
+        first = Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n))
+        self.progress = Progress(first, plan.cycles, smallest_gap=bench.gap)
         self._counter: int | None = None
         self._sound: tuple[Shape, Reading] | None = None  # the last
         self._rest: Reading | None = None  # the last of the mirror at rest
@@ -358,7 +360,8 @@ class Taker:
             self._await_bench()
             commanded = False
             try:
-                self._command(shape)
+                self.log.note("command", shape, stroke=float(np.abs(shape.position).max()))
+                self.bench.command(shape)
                 commanded = True
                 reading = self._read(shape)
             except BenchFault as error:
@@ -390,10 +393,6 @@ class Taker:
                     raise
             else:
                 return
-
-    def _command(self, shape: Shape) -> None:
-        self.log.note("command", shape, stroke=float(np.abs(shape.position).max()))
-        self.bench.command(shape)
 
     def _read(self, shape: Shape) -> Reading:
         plan, bench = self.plan, self.bench
