@@ -34,6 +34,7 @@ from truenewton.bench.simulated.static import (
     static_bench,
 )
 from truenewton.estimation import campaign_ml
+from truenewton.estimation.readings.moments import reading_noise
 from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity.iteration import fit, point_at
 from truenewton.estimation.reciprocity.regression import regressed
@@ -44,7 +45,6 @@ from truenewton.estimation.reciprocity.sensor_model import (
     at_nominal,
     places_of,
 )
-from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.sensor_model import sensor_model

@@ -23,7 +23,7 @@ from truenewton.acquisition.plan import AssumedDrift, CampaignPlan, read_plan, t
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.problem import problem_of
-from truenewton.estimation.screening.noise import Noise
+from truenewton.estimation.readings.moments import Noise
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.planning.forces import noiseless, prepared_bodies

@@ -11,8 +11,7 @@ from helpers.changed import check_alike, p45, said, with_forces
 from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import START
 from truenewton.errors import RankDeficient, TrueNewtonError, TrueNewtonWarning
-from truenewton.estimation.readings.moments import hidden_variance, rounding_steps
-from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.readings.moments import hidden_variance, reading_noise, rounding_steps
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign, write_stiffness

@@ -14,7 +14,7 @@ from truenewton.estimation.campaign_ml import (
     with_undetermined_patterns,
 )
 from truenewton.estimation.problem import problem_of
-from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.readings.moments import reading_noise
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign

@@ -80,7 +80,6 @@ from truenewton.estimation.problem import (
 )
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.readings.rows import WEIGHED_NOISE
-from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, refuse_too_many
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
@@ -138,7 +137,7 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
         refuse_too_many(len(screened.rejected), rows)
         force = moments.sums.force.sum(axis=1) / moments.sums.weight
         errors = {**weight_errors(sound), **errors_between_loads(sound, force)}
-        free = problem_of(screened.campaign, reading_noise(sound, moments), errors)
+        free = problem_of(screened.campaign, screened.noise, errors)
         suspects = check_inputs(screened, free)
     with refusal_naming(
         lambda: (*suspects.where_nothing_balances(free, moments).named, *screened.clipped)

@@ -44,9 +44,8 @@ from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.matrix.couplings import MIN_JUDGED_ACTUATORS, misplaced, projected
 from truenewton.estimation.paper.identifiability import centred_means, refuse
 from truenewton.estimation.problem import Problem, roughly_scaled
-from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.readings.moments import Moments, Noise
 from truenewton.estimation.readings.rows import WEIGHED_NOISE, is_displaced
-from truenewton.estimation.screening.noise import Noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, naming, still_sensors
 from truenewton.linalg import ROWS_AT_ONCE, assignment, asymmetry
 from truenewton.records.campaign import Campaign, mean_temperature

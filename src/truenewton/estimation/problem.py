@@ -39,9 +39,8 @@ from truenewton.estimation.paper.equations import (
     squared_distances,
     standing_out,
 )
-from truenewton.estimation.readings.moments import Moments, chosen_groups
+from truenewton.estimation.readings.moments import Moments, Noise, chosen_groups
 from truenewton.estimation.readings.rows import row_groups
-from truenewton.estimation.screening.noise import Noise
 from truenewton.estimation.screening.screen import FAR_OUT_FACTOR, ScreenedCampaign, refuse_too_many
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign

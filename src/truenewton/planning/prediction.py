@@ -35,13 +35,12 @@ from truenewton.estimation.paper.identifiability import (
     structural_faults,
 )
 from truenewton.estimation.problem import Problem, problem_of
-from truenewton.estimation.readings.moments import Moments, ShapeSums
+from truenewton.estimation.readings.moments import Moments, ShapeSums, reading_noise
 from truenewton.estimation.reciprocity.campaign import alpha_information, mean_forces
 from truenewton.estimation.reciprocity.information import information
 from truenewton.estimation.reciprocity.iteration import point_at
 from truenewton.estimation.reciprocity.regression import Regressed, refuse_unheld
 from truenewton.estimation.reciprocity.sensor_model import Kind, Places, Request, at_nominal
-from truenewton.estimation.screening.noise import reading_noise
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.statics.layout import Layout

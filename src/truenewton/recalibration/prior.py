@@ -53,8 +53,7 @@ from truenewton.estimation.problem import (
     with_noise_from_minimum,
     with_share_in_balance,
 )
-from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive, mirrored

@@ -33,9 +33,8 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chance_of_any, t_sf
 from truenewton.errors import CampaignMismatch, RankDeficient
-from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.estimation.reciprocity.regression import noise_of_rows, regressed
-from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
 from truenewton.linalg import inverse_of_positive
 from truenewton.records.campaign import Campaign

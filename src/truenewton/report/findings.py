@@ -42,10 +42,9 @@ from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.estimation.paper.equations import imbalance_covariance, squared_distances
 from truenewton.estimation.paper.identifiability import balance_spectrum, centred_means
 from truenewton.estimation.problem import problem_of, with_share_in_balance
-from truenewton.estimation.readings.moments import chosen_groups
+from truenewton.estimation.readings.moments import chosen_groups, reading_noise
 from truenewton.estimation.readings.repeats import RowBlock, RowReader, read_rows
 from truenewton.estimation.readings.rows import balanced_rows, is_displaced, row_groups, row_weights
-from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign, without
 from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings, find_modes

@@ -11,8 +11,13 @@ from helpers.balanced import changed
 from helpers.small_bench import SmallBench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.problem import problem_of
-from truenewton.estimation.readings.moments import chosen_groups, over_loads_and_signs
-from truenewton.estimation.screening.noise import independent_readings, reading_noise, structure_of
+from truenewton.estimation.readings.moments import (
+    chosen_groups,
+    independent_readings,
+    over_loads_and_signs,
+    reading_noise,
+    structure_of,
+)
 from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
 
 KINDS = ["plain", "three loads", "one sign", "missing", "unbalanced", "one sign under a load",

@@ -11,7 +11,7 @@ repeats scatter kappa times as much as independent readings; without what the ef
     T / k against F(k, M - k),        T -> T (M - k) / max(M kappa - T, M - k),
 
 M the rows less the groups. Parameters of each actuator are as many as are independent,
-(tr C)^2 / tr C^2 instead of n, C the correlations of the readings (`noise.structure_of`).
+(tr C)^2 / tr C^2 instead of n, C the correlations of the readings (`moments.structure_of`).
 """
 
 from __future__ import annotations
@@ -44,8 +44,7 @@ from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import bias_per_gain
 from truenewton.estimation.problem import Problem
-from truenewton.estimation.readings.moments import Moments, WithinGroups
-from truenewton.estimation.screening.noise import independent_readings
+from truenewton.estimation.readings.moments import Moments, WithinGroups, independent_readings
 from truenewton.statics.load import leaning
 
 # Effects by which rows of one group differ.
@@ -435,7 +434,7 @@ def beside_shared_noise(
 ) -> list[EffectTest]:
     """Return effects by which rows of one group differ, if significant despite shared noise.
 
-    Their order stays that of independent noise; ``samples`` as in `noise.structure_of`, (m, n) [N].
+    Their order stays that of independent noise; ``samples`` (m, n) [N] as in `structure_of`.
     """
     some = [test for test in found if test.effect.within]
     judged = [_judged(test, fit, np.concatenate(samples)) for test in some]

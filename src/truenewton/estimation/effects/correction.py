@@ -58,8 +58,7 @@ from truenewton.estimation.findings.estimate import (
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
-from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.linalg import inverse_of_positive
 from truenewton.records.campaign import load_temperatures
 from truenewton.statics.load import LIKELY_COIL_SHIFT, TYPICAL_GRADIENTS, leaning

@@ -373,15 +373,22 @@ def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, A
 
     For many parameters, at a cost of O(n) each. V is the information in the residual of the means
     plus a covariance by the balance, whose diagonal is not negative except for D, which is left
-    out. If the residual contains no information, V itself, a few actuators at a time. None if
-    neither can be computed.
+    out. If the residual contains no information, that of V itself, a few actuators at a time. None
+    if neither can be computed.
     """
     of_each = derivative.of_each
     if of_each is None or derivative.direction is not None:
         return None
     if of_each.parts is not None:
-        diagonals = [np.diag(scored(fit, part).variance) for part in of_each.parts()]
-        blocks = [diagonal.reshape(2, -1) for diagonal in diagonals]  # x, then y, of some actuators
+        blocks = []  # x, then y, of some actuators
+        for part in of_each.parts():
+            result = scored(fit, part)
+            if fit.minimum.noise_share > NEGLIGIBLE_NOISE_SHARE:
+                least = np.diag(result.variance)
+            else:
+                least = (1 - 2 * NEGLIGIBLE_NOISE_SHARE) * result.whole
+                least -= np.sum(result.half**2, axis=0)
+            blocks.append(least.reshape(2, -1))
         return of_each.score, of_each.whole, np.hstack(blocks).ravel()
     information = derivative.information
     if isinstance(information, float):

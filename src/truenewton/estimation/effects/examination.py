@@ -43,8 +43,8 @@ from truenewton.estimation.findings.estimate import (
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Problem
-from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.screening.noise import (
+from truenewton.estimation.readings.moments import (
+    Moments,
     Noise,
     Structure,
     structure_of,

@@ -25,7 +25,7 @@ from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Diagnosis, separation_of
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.paper.equations import imbalance_covariance
-from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.readings.moments import MIN_REPEATS, Moments
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms
@@ -33,7 +33,6 @@ from truenewton.statics.layout import Layout
 
 MAX_UNSEEN_LOAD = 0.1  # difference of the forces relative to that of the loads
 SIMILAR_LOADS_FRACTION = 0.01  # of the weight: loads that differ by less fix no scale to that
-MIN_REPEATS = 30  # for a noise of each actuator: known to 13 %
 NO_LOAD_SEEN = Finding.of(Code.NO_LOAD_SEEN)
 
 

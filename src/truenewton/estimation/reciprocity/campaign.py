@@ -29,7 +29,7 @@ from truenewton.estimation.findings.estimate import (
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import DataSet, Minimum, Prior, minimise
 from truenewton.estimation.problem import Problem, load_data, problem_of, with_share_in_balance
-from truenewton.estimation.readings.moments import Moments, chosen_groups, shape_sums
+from truenewton.estimation.readings.moments import Moments, chosen_groups, reading_noise, shape_sums
 from truenewton.estimation.reciprocity import acceptance
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.regression import (
@@ -47,7 +47,6 @@ from truenewton.estimation.reciprocity.sensor_model import (
     at_nominal,
     places_of,
 )
-from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 
 METHOD = "reciprocity"

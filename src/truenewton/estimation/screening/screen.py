@@ -25,7 +25,13 @@ from truenewton.errors import FormatError, TooManyOutliers, TrueNewtonError
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding, about_actuators
-from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.readings.moments import (
+    Moments,
+    Noise,
+    Structure,
+    pooled_where_it_fits,
+    reading_noise,
+)
 from truenewton.estimation.readings.repeats import RepeatSums, RowPrints
 from truenewton.estimation.screening.hypotheses import (
     MIN_DIFFERENCE_OF_REPEATING_FILES,
@@ -36,7 +42,6 @@ from truenewton.estimation.screening.hypotheses import (
     named_files,
     unlike_files,
 )
-from truenewton.estimation.screening.noise import Structure, pooled_where_it_fits, reading_noise
 from truenewton.records.campaign import Campaign
 
 MAX_REJECTED_FRACTION = 0.3  # of the rows; beyond this the campaign is refused
@@ -54,6 +59,7 @@ class ScreenedCampaign:
     sound: Campaign  # with the rejected rows marked as not valid
     rejected: tuple[RejectedRow, ...]  # rows that differ from their repeats
     moments: Moments  # of the sound rows; pooled if shapes repeat over loads and signs
+    noise: Noise  # of a reading of them
     # parts of (m, n) deviations of some rows from the others of their groups, at weight 1 [N]
     samples: tuple[Array, ...]
     structure: Structure | None  # test of these repeats; None if not possible
@@ -125,7 +131,17 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
     unlike = () if suspects else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
     left_out = tuple(rejected)
     return ScreenedCampaign(
-        campaign, sound, left_out, moments, samples, structure, suspects, clipped, unlike, frozen
+        campaign,
+        sound,
+        left_out,
+        moments,
+        noise,
+        samples,
+        structure,
+        suspects,
+        clipped,
+        unlike,
+        frozen,
     )
 
 
