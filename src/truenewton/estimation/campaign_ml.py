@@ -185,9 +185,7 @@ def _examined(
         return replace(plain, minimum=with_undetermined_patterns(plain.minimum, patterns)), ()
     if columns_are_wrong:
         return _inflated(plain, plain.excess), ()
-    left = examined(
-        plain.problem, plain.moments, plain.minimum, screened.structure, screened.samples
-    )
+    left = examined(plain, screened.structure, screened.samples)
     unseen = unseen_errors(left.rows)
     left = replace(left, minimum=with_magnets_unsure(left.rows, left.effects))
     left = replace(left, minimum=with_positions_unsure(left.rows, left.effects))

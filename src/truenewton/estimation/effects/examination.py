@@ -149,24 +149,14 @@ def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iter
 
 
 def examined(
-    problem: Problem,
-    moments: Moments,
-    minimum: Minimum,
-    structure: Structure | None,
-    samples: Sequence[Array],
+    plain: ExaminedFit, structure: Structure | None, samples: Sequence[Array]
 ) -> ExaminedFit:
     """Return a fit after the search for effects, without those whose correction makes it fit.
 
-    Parameters
-    ----------
-    problem, moments, minimum
-        The data, and their fit.
-    structure
-        How well shapes repeat over loads and signs; None if they do not repeat.
-    samples
-        Deviations of some rows from their repeats, in parts of (m, n) [N].
+    ``structure`` is how well shapes repeat over loads and signs; None if they do not. The
+    ``samples`` are deviations of some rows from their repeats, in parts of (m, n) [N].
     """
-    plain = ExaminedFit(problem, moments, minimum)
+    problem, moments = plain.problem, plain.moments
     if structure is None:
         return plain
     # Effects of files or hours on all readings look like shared noise until they are taken out.
@@ -175,7 +165,7 @@ def examined(
     if moments.pooled and not problem.dependent:
         start: ExaminedFit | None = replace(plain, structure=structure)  # fitted so already
     else:
-        start = _pooled(alone, moments, minimum, structure)
+        start = _pooled(alone, moments, plain.minimum, structure)
     if start is None:
         return plain
     # Noise that is independent within a row but balances too well is correlated from row to row.

@@ -70,14 +70,9 @@ class ShapeSums:
 
 
 def shape_sums(mean: Array, weight: Array, known: Array, share: Array) -> ShapeSums:
-    """Return the sums over shapes.
+    """Return the sums over shapes of (g, n) forces [N], (g,) weights r and (g, 3) known balance.
 
-    Parameters
-    ----------
-    mean, weight, known
-        (g, n) forces [N], (g,) weights r, (g, 3) known balance.
-    share
-        (L, g) share of each load in a shape: 1 of its own; pooled rows contain several.
+    ``share`` is (L, g) that of each load in a shape: 1 of its own; pooled rows contain several.
     """
     n = mean.shape[1]
     if (weight == weight[0]).all():
@@ -168,12 +163,8 @@ def each_by_itself(weight: Array) -> Pooling:
 def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) -> Pooling:
     """Return the rows of groups whose shapes repeat over loads and signs.
 
-    Parameters
-    ----------
-    labels, weight
-        (g, 3) index of the load, SHAPE, SIGN; (g,) r, 0 of groups that do not count.
-    size
-        (L,) of shapes under each load, 1 under the first.
+    By (g, 3) labels as in `Moments`, (g,) weights r, 0 of groups that do not count, and the (L,)
+    size of shapes under each load, 1 under the first.
     """
     g, on = len(labels), np.flatnonzero(weight)
     _, shape = np.unique(labels[on, 1], return_inverse=True)
@@ -347,15 +338,10 @@ _HIDDEN = np.sum(np.exp(-((2 * np.pi * _K * _SIGMA) ** 2)) / (2 * (np.pi * _K) *
 
 
 def rounding_steps(readings: Sequence[Array]) -> Array:
-    """Return (n,) the step of which the readings of each actuator are multiples [N], or 0.
+    """Return (n,) the step of which readings of some shapes, (n,) each, are multiples [N], or 0.
 
     They may have an offset. By Euclid's algorithm from the smallest gaps between readings, in which
     rounding of stored numbers grows least; larger gaps then refine it.
-
-    Parameters
-    ----------
-    readings
-        (n,) of some shapes [N].
     """
     if len(readings) < 12:  # too few gaps to recognise a step
         return np.zeros(len(readings[0]) if readings else 0)

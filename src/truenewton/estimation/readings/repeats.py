@@ -45,39 +45,22 @@ from truenewton.records.cycle import Cycle
 class RepeatSums:
     """Sums over the rows of each group of a campaign, which are read a block of groups at a time.
 
-    Parameters
-    ----------
-    campaign
-        The campaign.
-    reference
-        (n,) readings from which displacements count [m]; its `common_reference` unless given.
-    client
-        A dask cluster that makes the sums; without it they are made here.
-
-    Attributes
-    ----------
-    campaign
-        The campaign.
-    furthest
-        (blocks, n) largest distance of a row from its group's mean, see `BlockSums`.
-    samples
-        (m, n) deviations of some repeated rows of each block, evenly spaced among all rows.
-    prints
-        Of some rows: they show copies, frozen readings and rounding.
-    stale
-        Whether leaving rows out has emptied a group or moved the reference: then all sums must be
-        made again.
+    Displacements count from the (n,) reference [m], the `common_reference` of the campaign unless
+    given. A dask client makes the sums, if there is one.
     """
 
     def __init__(
         self, campaign: Campaign, reference: Array | None = None, client: Client | None = None
     ) -> None:
-        self.campaign, self.client, self.stale = campaign, client, False
+        self.campaign, self.client = campaign, client
+        # Whether leaving rows out has emptied a group or moved the reference: then all sums must be
+        # made again.
+        self.stale = False
         self._reference = common_reference(campaign) if reference is None else reference
         self._labels, first, groups_of_rows = row_groups(campaign)
         self._coming = np.argsort(first)  # groups, as they come
         codes = np.prod(self._labels[:, 1:], axis=1)
-        self.prints = RowPrints(codes)
+        self.prints = RowPrints(codes)  # they show copies, frozen readings and rounding
         printed = np.where(np.isin(codes, self.prints.labels), codes, 0)[self._coming]
         turn = np.argsort(self._coming)
         coming = [turn[group] for group in groups_of_rows]
@@ -86,7 +69,7 @@ class RepeatSums:
         self._blocks = GroupBlocks(rows, groups, n)  # of the rows that are not left out
         count = len(self._blocks.spans)
         self._mean, self._known = np.empty((groups, n)), np.zeros((groups, 3))
-        self._scatter_of, self.furthest = np.zeros((2, count, n))
+        self._scatter_of, self.furthest = np.zeros((2, count, n))  # of each block, see `BlockSums`
         self.samples = [np.empty((0, n))] * count
 
         def take(several: list[BlockSums]) -> None:
@@ -178,14 +161,8 @@ class RepeatSums:
     ) -> list[RejectedRow]:
         """Leave out the worst row of each group of some blocks that has one too far from its mean.
 
-        Of a group of two both go. The rest is summed again, unless all sums must be made again.
-
-        Parameters
-        ----------
-        blocks
-            Which of them.
-        noise, limit
-            (n,) noise of a reading of weight 1 [N], and how many times that is too far.
+        Too far is ``limit`` times the (n,) noise of a reading of weight 1 [N]. Of a group of two
+        both go. The rest is summed again, unless all sums must be made again.
         """
         rejected = list[RejectedRow]()
 
@@ -224,40 +201,22 @@ def _some(labels: NDArray[np.int64], most: int = 16) -> NDArray[np.int64]:
 
 
 class RowPrints:
-    """Fingerprints of one row of each file under some labels, SHAPE times SIGN.
-
-    Parameters
-    ----------
-    codes
-        (g,) labels of the groups of rows.
-
-    Attributes
-    ----------
-    labels
-        (m,) those of which prints are taken.
-    taken, rows
-        Digests by file and label, and their number by file.
-    longest
-        By file (n,) how many rows after each other repeat the reading before, bit by bit.
-    limit, at_limit
-        By file (n,) the largest magnitude of a reading [N], and how many of the rows have it.
-    readings
-        (n,) those of some of the rows [N], by file and label.
-    of_first
-        (n,) readings of the rows of one file [N].
-    """
+    """Fingerprints of one row of each file under some of (g,) labels, SHAPE times SIGN."""
 
     def __init__(self, codes: NDArray[np.int64]) -> None:
-        self.labels = _some(np.unique(codes), 48)
+        self.labels = _some(np.unique(codes), 48)  # of which prints are taken
         self._kept = {*_some(self.labels).tolist()}  # rows of each file that are kept
         self._before = dict[int, Array]()
-        self.taken: dict[tuple[int, int], bytes] = {}
-        self.rows = Counter[int]()
+        self.taken: dict[tuple[int, int], bytes] = {}  # digests by file and label
+        self.rows = Counter[int]()  # their number by file
         self._run: dict[int, NDArray[np.int64]] = {}
+        # By file (n,) how many rows after each other repeat the reading before, bit by bit.
         self.longest: dict[int, NDArray[np.int64]] = {}
+        # By file (n,) the largest magnitude of a reading [N], and how many of the rows have it.
         self.limit: dict[int, Array] = {}
         self.at_limit: dict[int, NDArray[np.int64]] = {}
-        self.of_first: list[Array] = []
+        self.of_first: list[Array] = []  # (n,) readings of the rows of one file [N]
+        # (n,) those of some of the rows [N], by file and label.
         self.readings: dict[tuple[int, int], NDArray[np.float32]] = {}
 
     @property

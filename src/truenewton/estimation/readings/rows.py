@@ -117,15 +117,7 @@ class BalancedRows:
 
 
 def balanced_rows(cycle: Cycle, a: Array, reference: Array) -> BalancedRows:
-    """Return the rows of a cycle as they balance.
-
-    Parameters
-    ----------
-    cycle, a
-        The cycle, and (3, n) arms of its enabled actuators.
-    reference
-        (n,) of `common_reference` [m].
-    """
+    """Return the rows of a cycle as they balance, by (3, n) arms and the (n,) reference [m]."""
     displaced, shift = is_displaced(cycle), cycle.load.coil_shift or 0.0
     zero = _from_own_mean(reference, cycle) if displaced else np.zeros(a.shape[1])
     return BalancedRows(
@@ -170,11 +162,8 @@ def row_groups(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], list[NDArray[np.int64]]]:
     """Return the groups of a campaign's rows.
 
-    Returns
-    -------
-    labels, first, groups
-        (g, 3) index of the load, SHAPE, SIGN; sorted. (g,) first row, of all that count. For each
-        cycle, (N,) group of its rows that count.
+    (g, 3) index of the load, SHAPE, SIGN, sorted; (g,) their first row, of all that count; and for
+    each cycle (N,) the group of its rows that count.
     """
     names = [
         np.column_stack([np.full(np.count_nonzero(c.valid), k), c.shape[c.valid], c.sign[c.valid]])
@@ -332,14 +321,8 @@ def file_rows(
 ) -> list[FileRows]:
     """Return rows of each file, of each group at most one, in the order of the groups.
 
-    Parameters
-    ----------
-    campaign, reference
-        The campaign, and (n,) of `common_reference` [m].
-    groups
-        Of each cycle (N,) the group of each row that counts.
-    printed
-        (g,) labels of the groups of which prints are taken, otherwise 0.
+    ``reference`` is (n,) that of `common_reference` [m], ``groups`` of each cycle (N,) the group of
+    each row that counts, ``printed`` (g,) labels if prints are taken of a group, otherwise 0.
     """
     found, a, weights = list[FileRows](), enabled_arms(campaign.layout), row_weights(campaign)
     # Deviations of 1000 rows are kept: they give a variance of three degrees to 3 %.

@@ -78,12 +78,8 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
     FORCE is read once, and blocks with removed rows once more; all of it if the mean of POSITION,
     or two lone repeats, were removed. With a client its workers read.
 
-    Raises
-    ------
-    TooManyOutliers
-        A cycle would lose all its rows.
-    FormatError
-        Rows are in memory, where no worker can read them.
+    Raises TooManyOutliers if a cycle would lose all its rows, FormatError if rows are in memory,
+    where no worker can read them.
     """
     if client is not None:
         _require_stored(campaign)
@@ -209,13 +205,7 @@ def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Mome
 
 
 def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
-    """Return the campaign with some rows marked as not valid.
-
-    Raises
-    ------
-    TooManyOutliers
-        A cycle would lose all its rows.
-    """
+    """Return the campaign without some rows; raise TooManyOutliers if a cycle has no other."""
     cycles = list(campaign.cycles)
     for k in {row.cycle for row in rows}:
         valid = cycles[k].valid.copy()
