@@ -26,7 +26,7 @@ from truenewton.acquisition.folder import (
     remove_journal,
 )
 from truenewton.acquisition.load_order import mounting_words, mountings
-from truenewton.acquisition.plan import CampaignPlan, planned_mirror, recorded_layout
+from truenewton.acquisition.plan import CampaignPlan, planned_mirror
 from truenewton.acquisition.taker import (
     Guard,
     Interruption,
@@ -147,7 +147,7 @@ def _agreed(
 
     The bench of a segment may place its actuators as the segment does, or as the whole mirror.
     """
-    mirror, recorded = planned_mirror(plan, beside), recorded_layout(plan, beside)
+    mirror, recorded = planned_mirror(plan, beside)
     if bench.layout.n != mirror.layout.n:
         what = f"has {bench.layout.n} actuators, the plan's {mirror.name} {mirror.layout.n}"
     elif bench.instrument != mirror.name:
@@ -167,7 +167,7 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
     choice = plan.bench
     if choice.kind == "simulated":
         return simulated_bench(plan, beside)
-    mirror = planned_mirror(plan, beside)  # refuses a missing segment before any connection
+    mirror, _ = planned_mirror(plan, beside)  # refuses a missing segment before any connection
     if plan.segment:
         given, number = vars(choice).items(), str(plan.segment)
         texts: dict[str, Any] = {k: text.replace(SEGMENT, number) for k, text in given
@@ -182,7 +182,7 @@ def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") ->
     """Return the simulated bench of a plan; its truth depends on seed and segment only."""
     seed = plan.bench.seed
     return SimulatedBench(
-        planned_mirror(plan, beside),
+        planned_mirror(plan, beside)[0],
         seed_of(seed, plan.segment) if plan.segment else seed,
         loads=plan.loads,
         force_noise=plan.bench.force_noise,

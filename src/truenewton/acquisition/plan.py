@@ -317,22 +317,25 @@ def template() -> str:
     return file.read_text(encoding="utf-8")
 
 
-def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:
-    """Return the mirror of a plan, or its segment; a file is relative to the plan's folder."""
-    name = _mirror_of(plan, folder)
-    return segment_from(name, plan.segment)[0] if plan.segment else mirror_from(name)
+def planned_mirror(
+    plan: CampaignPlan, folder: str | os.PathLike[str] = "."
+) -> tuple[Mirror, Layout]:
+    """Return the mirror of a plan, or its segment, and the layout of the cycle files.
 
-
-def recorded_layout(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Layout:
-    """Return the layout of the cycle files, where a segment is placed as in the whole mirror."""
+    In the files a segment is placed as in the whole mirror. A file is relative to the plan's
+    folder.
+    """
     name = _mirror_of(plan, folder)
-    return segment_from(name, plan.segment)[1] if plan.segment else mirror_from(name).layout
+    if plan.segment:
+        return segment_from(name, plan.segment)
+    mirror = mirror_from(name)
+    return mirror, mirror.layout
 
 
 def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> dict[str, Mirror]:
     """Return the mirror of a plan, or those of its segments that differ, by their names."""
     if plan.segment:
-        one = planned_mirror(plan, folder)
+        one = planned_mirror(plan, folder)[0]
         return {one.name: one}
     whole = whole_mirror_from(_mirror_of(plan, folder))
     if not isinstance(whole, SegmentedMirror):

@@ -12,8 +12,9 @@ but not with a row that was made to agree with a wrong column.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,9 +292,9 @@ def bad_actuators(
     found: dict[int, BadActuator] = {}
     k, a, n = facts.stiffness, facts.arms, len(facts.stiffness)
 
-    def add(indices: NDArray[np.int64], reason: str, sizes: Array) -> None:
-        for index, size in zip(indices.tolist(), sizes.tolist(), strict=True):
-            found.setdefault(index, BadActuator(index, reason, size))
+    def add(reason: str, sizes: Iterable[tuple[Any, float]]) -> None:
+        for index, size in sizes:
+            found.setdefault(int(index), BadActuator(int(index), reason, float(size)))
         if len(found) > max(2, LIMITS.misfit_fraction * n):
             certain = reason in (OTHER_ORDER, OTHER_SIGN)
             raise (RankDeficient if certain else FitsNoSymmetry)(
@@ -304,11 +305,11 @@ def bad_actuators(
 
     order = row_order(k)
     moved = np.flatnonzero(order != np.arange(n))
-    add(moved, OTHER_ORDER, np.ones(len(moved)))
+    add(OTHER_ORDER, ((i, 1.0) for i in moved))
     own = np.diag(k[order])
     sign = 1.0 if np.count_nonzero(own > 0.0) >= np.count_nonzero(own < 0.0) else -1.0
     wrong = np.flatnonzero(sign * own <= 0.0)
-    add(wrong, OTHER_SIGN, own[wrong] / np.median(own))
+    add(OTHER_SIGN, zip(wrong, own[wrong] / np.median(own), strict=True))
     factor = np.where(own < 0.0, -1.0, 1.0)
     as_measured = (factor > 0.0).all() and not moved.size
     ratios = facts.pair_ratios if as_measured else pair_ratios(factor[:, None] * k[order])
@@ -317,7 +318,7 @@ def bad_actuators(
     even = (factor * np.exp(log_alpha))[:, None] * k[order]
     off = displaced(even, a)
     moved = np.flatnonzero(off.any(axis=0))
-    add(moved, ELSEWHERE, np.hypot(*off[1:, moved]))
+    add(ELSEWHERE, zip(moved, np.hypot(*off[1:, moved]), strict=True))
     a = a + off
     turned = signs(even, a, wrong[own[wrong] != 0.0], linked)
     found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
@@ -327,24 +328,23 @@ def bad_actuators(
     misfit[deaf], misfit[:, deaf] = np.nan, np.nan
     log_alpha = log_alpha - np.log(gain)
     far = np.flatnonzero(np.abs(log_alpha) > np.log(MAX_ALPHA_RATIO))
-    for one in far:
-        ratio = np.exp(-log_alpha[[one]])
-        add(far[far == one], f"its row {ratio[0]:.2g} times as large as those of others", ratio)
+    for i, ratio in zip(far, np.exp(-log_alpha[far]), strict=True):
+        add(f"its row {ratio:.2g} times as large as those of others", [(i, ratio)])
     factor = factor * np.exp(log_alpha)
     even = factor[:, None] * k[order] / gain
     only_gain = np.array([agrees(even, i, linked[i]) for i in deaf.tolist()], bool)
     for some, reason in ((deaf[only_gain], SENSOR_GAIN), (deaf[~only_gain], SENSOR)):
-        add(some, reason, gain[some])
+        add(reason, zip(some, gain[some], strict=True))
     even = columns_by_rows(even, a, deaf[~only_gain])
     unlike = _unlike_their_columns(misfit)
-    add(*_apart(unlike, ROW_UNLIKE_COLUMN))
+    add(ROW_UNLIKE_COLUMN, unlike)
     _make_alike(even, a, [i for i, _ in unlike], linked)
     place = exchanged_places(even, a)
     moved = np.flatnonzero(place != np.arange(n))
-    add(moved, "exchanged with a neighbour", np.ones(len(moved)))
+    add("exchanged with a neighbour", ((i, 1.0) for i in moved))
     mended = [*filled, *deaf[~only_gain].tolist(), *(i for i, _ in unlike)]
     holes = np.concatenate([gaps, a[:, [i for i, _ in unlike]]], axis=1)
-    add(*_apart(_mend_elements(even, a[:, place], holes, mended), ELEMENT_WRONG))
+    add(ELEMENT_WRONG, _mend_elements(even, a[:, place], holes, mended))
     return tuple(found[i] for i in sorted(found)), even / factor[:, None]
 
 
@@ -358,11 +358,6 @@ def _make_alike(even: Array, a: Array, some: Sequence[int], linked: NDArray[np.b
             even[:, i] = column_by_row(even, a, i)
         else:
             even[i] = even[:, i]
-
-
-def _apart(pairs: list[tuple[int, float]], reason: str) -> tuple[NDArray[np.int64], str, Array]:
-    indices, sizes = (np.array([pair[which] for pair in pairs]) for which in (0, 1))
-    return indices.astype(np.int64), reason, sizes.astype(float)
 
 
 def _unlike_their_columns(misfit: Array) -> list[tuple[int, float]]:
