@@ -4,6 +4,8 @@
     python -m studies.faults --only clean --seeds 1000      how often a word is false
     python -m studies.faults --mirror 336 --cycles 2        336 actuators on rings
     python -m studies.faults --method ml auto glass         methods on the same campaigns
+    python -m studies.faults --grades --seeds 4             do errors hold in every grade
+    python -m studies.faults --grades --only clean --seeds 50    how often 'doubtful' is false
 
 The bench (`faulty`) is this benchmark's own. Alpha, noise and where a fault strikes differ from
 seed to seed. The weights are declared without error, so that what is stated is what the readings
@@ -26,6 +28,12 @@ corrected (the right file or actuators with it); a verdict, and what is said fir
 Several methods have a line each, with the seeds in which the answer is by reciprocity / those in
 which the verdict is sound; 'glass' is 'auto' with what the sensors see of the mirror, as of
 `calibrate --mirror`.
+
+`--grades` prints the grades of the verdict instead (S sound, U usable, D doubtful, R rejected, - no
+alpha), the share of the 95 % intervals that contain the truth, and the rms error in units of the
+stated one. At the end: of the faults that are usable or sound in most seeds, those whose errors do
+not hold (fewer than 90 % covered); of the campaigns in which nothing is wrong, the share that is
+doubtful or worse. Faults that no such data can show ('blind') are listed apart.
 """
 
 from __future__ import annotations
@@ -36,8 +44,9 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -55,6 +64,7 @@ from truenewton.mirrors.sensor_model import model_sensors
 SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]
 ALL = sorted(FAULTS, key=lambda fault: SECTIONS.index(fault.happens.__module__))
 
+LETTERS = {"sound": "S", "usable": "U", "doubtful": "D", "rejected": "R"}
 METHODS = ("ml", "svd", "reciprocity", "auto", "glass")
 COVERED, SAID, FALSE = 0.90, 0.95, 0.01
 IMPROBABLE = 1e-3  # of a fit
@@ -85,6 +95,8 @@ class Trial:
     reciprocal, sound
         Whether the answer is by reciprocity; whether the verdict is 'sound', apart from the
         weights without errors.
+    grade
+        Letter of the verdict, '-' without alpha.
     """
 
     error: Array
@@ -95,6 +107,7 @@ class Trial:
     rejected: float = float("nan")
     reciprocal: bool = False
     sound: bool = False
+    grade: str = "-"
 
 
 def happening(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -> Day:
@@ -130,6 +143,7 @@ def trial(day: Day, method: str = "ml") -> Trial:
         rejected=answer.rejected / (answer.rejected + answer.shapes_used),
         reciprocal=answer.method == "reciprocity",
         sound=all(each.code is tn.Code.WEIGHTS_WITHOUT_ERRORS for each in answer.verdict.faults),
+        grade=LETTERS[str(answer.verdict.level)],
     )
 
 
@@ -236,6 +250,48 @@ def print_line(name: str, noise: float, figures: dict[str, float | str]) -> None
     print(line.rstrip(), flush=True)
 
 
+def graded(seed: int, name: str, mirror: str, noise: float, cycles: int) -> tuple[str, Array]:
+    """Return the grade of a campaign, and the errors of alpha over those stated."""
+    warnings.simplefilter("ignore", TrueNewtonWarning)
+    fault = next(each for each in FAULTS if each.name == name)
+    found = trial(happening(fault, mirror, seed, noise, cycles))
+    ratio = found.error / found.stated
+    return found.grade, ratio[np.isfinite(ratio)]
+
+
+def print_grades(
+    chosen: Sequence[Fault], seeds: range, noises: Sequence[float], mirror: str, cycles: int
+) -> None:
+    """Print the grades of faults, and whether the errors hold in them."""
+    false, sound, wrong, blind = 0, 0, list[str](), list[str]()
+    print(f"{'':52s} noise/mN  grades      covered  error/stated")
+    with ProcessPoolExecutor() as pool:
+        for fault in chosen:
+            for noise in noises if fault.noise is None else [fault.noise]:
+                one = partial(graded, name=fault.name, mirror=mirror, noise=noise, cycles=cycles)
+                rows = list(pool.map(one, seeds))
+                grades = Counter(grade for grade, _ in rows)
+                some = [ratio for _, ratio in rows if ratio.size]
+                covered, size = np.nan, np.nan
+                if some:
+                    covered = np.median([np.mean(np.abs(ratio) < TWO_SIGMA) for ratio in some])
+                    size = np.median([rms(ratio) for ratio in some])
+                shown = " ".join(f"{g}{n}" for g, n in grades.most_common())
+                line = (
+                    f"{fault.name:52s} {1e3 * noise:8.3g}  {shown:12s}{covered:7.0%}  {size:8.2f}"
+                )
+                print(line, flush=True)
+                good = grades["U"] + grades["S"]
+                if not fault.cause and not fault.blind:
+                    sound += len(rows)
+                    false += len(rows) - good
+                elif good > len(rows) / 2 and covered < COVERED:
+                    (blind if fault.blind else wrong).append(line)
+    print(f"doubtful or worse though nothing is wrong: {false} of {sound}")
+    print("usable or sound, and errors do not hold:", *wrong or ["none"], sep="\n  ")
+    print("the same, of what no such data can show:", *blind or ["none"], sep="\n  ")
+
+
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
@@ -246,10 +302,14 @@ def main() -> None:
     parser.add_argument("--mirror", choices=("p45", "336"), default="p45")
     parser.add_argument("--cycles", type=int, default=4, help="under each load")
     parser.add_argument("--method", nargs="+", default=["ml"], choices=METHODS)
+    parser.add_argument("--grades", action="store_true", help="of the verdict")
     options = parser.parse_args()
     warnings.simplefilter("ignore", TrueNewtonWarning)  # what is said is counted instead
     chosen = [f for f in ALL if not options.only or f.name.startswith(tuple(options.only))]
     seeds = range(options.first, options.first + options.seeds)
+    if options.grades:
+        print_grades(chosen, seeds, options.noise, options.mirror, options.cycles)
+        return
     print(f"{options.mirror}, {options.cycles} cycles a load, {options.seeds} seeds")
     print_heads()
     verdicts: dict[str, Counter[str]] = {method: Counter() for method in options.method}
