@@ -26,8 +26,8 @@ import numpy as np
 
 import truenewton as tn
 from studies.accuracy import TWO_SIGMA, large_mirror, rms
+from studies.closed_loop import only, settling_time, step_responses
 from studies.matrices import measured_lbt672
-from studies.step_response import settling_time, step_responses
 from truenewton.arrays import Array
 from truenewton.bench.simulated.loop import Loop, samples_of, slowest_creep
 from truenewton.bench.simulated.static import (
@@ -276,11 +276,7 @@ def settling() -> None:
 def left_to_go(bench: StaticBench, loop: Loop) -> Iterator[tuple[float, float, float]]:
     """Yield waits [s], the most that a reading [m] and the sum of true forces [N] still change."""
     every, alpha = 60, loop.coils.alpha[:, None]
-    quiet = replace(
-        loop,
-        coils=replace(loop.coils, dac_step=1e-15, driver_noise=0.0),
-        sensors=replace(loop.sensors, noise=0.0, codes=2**40),
-    )
+    quiet = only(loop, (), ())
     shapes, load_force = bench.shapes[::5].T, bench.load_force[0][:, None]
     steps = samples_of(quiet, shapes, load_force, (), round(0.4 * loop.control.rate))
     walk = [(force, z) for force, _, z in islice(steps, 0, None, every)]
@@ -323,28 +319,20 @@ def glass(path: str) -> None:
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--large", type=int, metavar="N")
-    parser.add_argument("--coverage", type=int, metavar="SEEDS")
-    parser.add_argument("--imperfections", type=int, metavar="SEEDS")
-    parser.add_argument("--rings", type=int, metavar="CAMPAIGNS")
-    parser.add_argument("--glass", metavar="PNG")
+    parts: tuple[tuple[Callable[[Any], None], type, str], ...] = (
+        (large, int, "N"), (coverage, int, "SEEDS"), (imperfections, int, "SEEDS"),
+        (rings, int, "CAMPAIGNS"), (glass, str, "PNG"), (tilt, int, "SEEDS"),
+    )  # fmt: skip
+    for part, kind, metavar in parts:
+        parser.add_argument(f"--{part.__name__}", type=kind, metavar=metavar)
     parser.add_argument("--settling", action="store_true")
-    parser.add_argument("--tilt", type=int, metavar="SEEDS")
-    options = parser.parse_args()
-    if options.large:
-        large(options.large)
-    elif options.coverage:
-        coverage(options.coverage)
-    elif options.imperfections:
-        imperfections(options.imperfections)
-    elif options.glass:
-        glass(options.glass)
-    elif options.tilt:
-        tilt(options.tilt)
-    elif options.settling:
+    options = vars(parser.parse_args())
+    for part, *_ in parts:
+        if options[part.__name__]:
+            part(options[part.__name__])
+            return
+    if options["settling"]:
         settling()
-    elif options.rings:
-        rings(options.rings)
     else:
         costs()
 

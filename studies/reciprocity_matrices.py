@@ -24,6 +24,7 @@ from truenewton.estimation.reciprocity.sensor_model import (
     places_of,
     sensors_at,
 )
+from truenewton.linalg import asymmetry
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.sensor_model import model_sensors
 from truenewton.mirrors.shell.shell_model import model_shell
@@ -186,10 +187,9 @@ def examine(matrix, motion=None):
     )
     for line in found.imbalances:
         print(f"    imbalance, {line.modes:<32}{line.before:.4f} -> {line.after:.4f}")
-    work = found.joint.point.left.work
-    asymmetry = np.linalg.norm(work - work.T) / np.linalg.norm(work + work.T)
+    before, after = map(asymmetry, (matrix.used_stiffness, found.joint.point.left.work))
     evidence = found.evidence
-    print(f"    asymmetry {asymmetry_of(matrix):.4f} -> {asymmetry:.4f}")
+    print(f"    asymmetry {before:.4f} -> {after:.4f}")
     one, other = found.halves
     print(
         f"    halves differ by {np.std(one - other):.4f} rms, without degree 6 and below by"
@@ -252,9 +252,3 @@ def large():
             f" apart {found.evidence.apart:.2f}",
             flush=True,
         )
-
-
-def asymmetry_of(matrix):
-    """Return |K - K'| / |K + K'|."""
-    k = matrix.used_stiffness
-    return np.linalg.norm(k - k.T) / np.linalg.norm(k + k.T)

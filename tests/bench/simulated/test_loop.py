@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
 
 from helpers.shells import condense, influence
-from studies.step_response import settling_time, step_responses
+from studies.closed_loop import settling_time, step_responses
 from truenewton.bench.simulated.loop import (
     CREEP_TIMES,
     MAX_DRIFT,

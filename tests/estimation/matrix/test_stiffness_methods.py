@@ -9,6 +9,7 @@ import pytest
 from astropy.table import QTable
 
 from helpers.balanced import START, p45_bench, p45_matrix
+from studies.matrices import without_polynomial
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
@@ -164,12 +165,3 @@ def test_on_a_real_lbt672_a_population_foretells_the_modes_it_has_not_seen():
         assert np.corrcoef(apart, efficiency)[0, 1] <= correlation
         codes = {each.code for each in calibration.diagnosis.warnings}
         assert codes == {Code.COLUMN_NOISE_NOT_INDEPENDENT, Code.NEGATIVE_MODES_IN_NOISE}
-
-
-def without_polynomial(values, layout, degree=6):
-    """Take a polynomial of x and y out."""
-    x, y = layout.x / 0.45, layout.y / 0.45
-    terms = np.stack(
-        [x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1
-    )
-    return values - terms @ np.linalg.lstsq(terms, np.asarray(values), rcond=None)[0]
