@@ -63,22 +63,6 @@ class Products:
         return np.asarray(np.maximum(left, 0.0))
 
 
-@dataclass(frozen=True, eq=False)
-class ShapeProducts:
-    """The sums that the regression needs."""
-
-    # sums over distinct shapes, and over deviations of rows from their repeats
-    between: Products
-    within: Products
-    # number of distinct shapes, of rows, and of degrees of freedom of their repeats
-    shapes: int
-    rows: int
-    spare: int
-    weight: float  # sum of the weights of the rows
-    # of a reading in a row of weight 1, from repeats and negatives; NaN if there are none [m^2]
-    position_variance: float
-
-
 class MotionReader:
     """Sums of force and displacement of the rows of a campaign, relative to rest, during reading.
 
@@ -113,7 +97,8 @@ class MotionReader:
             self._groups = dict(zip(positioned, groups, strict=True))
             self._weights = dict(zip(positioned, row_weights(of_these), strict=True))
             self._force, self._position = np.zeros((2, len(self._labels), n))  # means
-            self._weight, self._within = np.zeros(len(self._labels)), Products(n)
+            self.weight, self.within = np.zeros(len(self._labels)), Products(n)
+            self.rows = sum(map(len, groups))
             self._begin_cycle()
 
     def _begin_cycle(self) -> None:
@@ -145,18 +130,18 @@ class MotionReader:
 
     def _add(self, force: Array, position: Array, group: NDArray[np.int64], weight: float) -> None:
         """Add (m, n) rows of one cycle, each of another group."""
-        share = weight / (self._weight[group] + weight)
+        share = weight / (self.weight[group] + weight)
         force, position = force - self._force[group], position - self._position[group]
         self._force[group] += share[:, None] * force
         self._position[group] += share[:, None] * position
-        size, missing = self._weight[group] * share, self._unshifted[group]
+        size, missing = self.weight[group] * share, self._unshifted[group]
         root = np.sqrt(size)[:, None]
-        self._within.add(root * force, root * position)
+        self.within.add(root * force, root * position)
         self._sum_force += (size * missing) @ force
         self._sum_position += (size * missing) @ position
         self._sum += float(size @ missing**2)
         self._unshifted[group] = missing * (1.0 - share)
-        self._weight[group] += weight
+        self.weight[group] += weight
 
     def _end_cycle(self, cycle_index: int) -> None:
         """Make the rows of the cycle relative to its own rest."""
@@ -164,8 +149,8 @@ class MotionReader:
         rest /= np.count_nonzero(self.sound.cycles[cycle_index].paired_rows)
         if cycle_index in self._groups and self._near_rest is not None:
             shift = rest - self._near_rest
-            self._within.cz -= np.outer(shift, self._sum_position)
-            self._within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
+            self.within.cz -= np.outer(shift, self._sum_position)
+            self.within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
             self._force -= np.outer(1.0 - self._unshifted, shift)
             self._begin_cycle()
 
@@ -174,9 +159,19 @@ class MotionReader:
         """(n,) commanded force at rest under the first, bare load, mean of its cycles [N]."""
         return np.asarray(self._rest[np.equal(self.sound.load_index, 0)].mean(axis=0))
 
-    def products(self) -> ShapeProducts:
-        """Return the sums for the regression, after all rows."""
-        label, heavy, n = self._labels, self._weight, self._rest.shape[1]
+    @property
+    def spare(self) -> int:
+        """Degrees of freedom of the repeats."""
+        loads = {cycle.load.key for cycle in self.positioned}
+        return self.rows - len(self.weight) - (len(self.positioned) - len(loads))
+
+    def between(self) -> tuple[Products, int, float]:
+        """Return sums over distinct shapes, their number, and the variance of a reading [m^2].
+
+        After all rows. The variance is that in a row of weight 1, from repeats and negatives; NaN
+        if there are none.
+        """
+        label, heavy, n = self._labels, self.weight, self._rest.shape[1]
         edge = np.flatnonzero(np.append(True, (label[1:, :2] != label[:-1, :2]).any(axis=1)))
         ends = np.append(edge, len(label))
         signed, total = label[:, 2] * heavy, np.add.reduceat(heavy, edge)
@@ -192,20 +187,9 @@ class MotionReader:
             )
             between.add(c, z)
             uneven -= float(np.sum(z**2))
-        count, within = sum(map(len, self._groups.values())), self._within
-        alike = count - len(edge)
-        loads = {cycle.load.key for cycle in self.positioned}
-        return ShapeProducts(
-            between=between,
-            within=within,
-            shapes=len(edge),
-            rows=count,
-            spare=count - len(label) - (len(self.positioned) - len(loads)),
-            weight=float(heavy.sum()),
-            position_variance=(
-                (float(np.trace(within.zz)) + uneven) / (n * alike) if alike else np.nan
-            ),
-        )
+        alike = self.rows - len(edge)
+        variance = (float(np.trace(self.within.zz)) + uneven) / (n * alike) if alike else np.nan
+        return between, len(edge), variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,16 +313,17 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     for effect in frozen:
         if effect.size == 1.0:  # the share of the files
             raise RankDeficient(f"{effect.name}: {effect.where}", remedy=effect.remedy)
-    sums = reader.products()
+    between, shapes, reading = reader.between()
+    within, degrees_within = reader.within, reader.spare
     layout = reader.sound.layout
     n = int(layout.enabled.sum())
     # The fit of n columns takes up n + 1 parts of the noise of G shapes: subtract G - n - 1
     # leaves no bias to second order; to subtract all G would make K_c too stiff.
-    share = max(sums.shapes - n - 1, 0) / sums.spare if sums.spare > 0 else 0.0
-    square = sums.between.zz - share * sums.within.zz
+    share = max(shapes - n - 1, 0) / degrees_within if degrees_within > 0 else 0.0
+    square = between.zz - share * within.zz
     square = 0.5 * (square + square.T)
     values, vectors = np.linalg.eigh(square)
-    noise = sums.position_variance * (np.sqrt(sums.shapes) + np.sqrt(n)) ** 2
+    noise = reading * (np.sqrt(shapes) + np.sqrt(n)) ** 2
     least = MIN_AMPLITUDE_WITHOUT_REPEATS if np.isnan(noise) else MIN_AMPLITUDE
     held = values > max(MIN_SIGNAL_TO_NOISE**2 * np.nan_to_num(noise), least**2 * values[-1])
     with refusal_naming(lambda: frozen):
@@ -346,11 +331,10 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     # S^-1 on the directions of the shapes, projected along the missing rigid motions.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))
     inverse = half @ half.T
-    k = (sums.between.cz - share * sums.within.cz) @ inverse
-    spare = sums.shapes - int(held.sum())
+    k = (between.cz - share * within.cz) @ inverse
     left = [
-        sums_left.unexplained(k) / degrees
-        for sums_left, degrees in ((sums.within, sums.spare), (sums.between, spare))
+        sums.unexplained(k) / degrees
+        for sums, degrees in ((within, degrees_within), (between, shapes - int(held.sum())))
         if degrees > 0
     ]
     variance = max(left, key=np.sum) if left else np.full(n, np.nan)
@@ -358,14 +342,15 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     on = np.ix_(layout.enabled, layout.enabled)
     whole, whole_error, whole_inverse = np.zeros((3, layout.n, layout.n))
     whole[on], whole_error[on] = k, error
+    weight = reader.weight.sum() / reader.rows  # of a row
     unknown = vectors[:, ~held] / (MIN_AMPLITUDE * np.sqrt(values[-1]))
-    whole_inverse[on] = (inverse + unknown @ unknown.T) * sums.weight / sums.rows
+    whole_inverse[on] = (inverse + unknown @ unknown.T) * weight
     first = min(cycles, key=lambda cycle: cycle.date)
     return MeasuredStiffness(
         matrix=StiffnessMatrix(first.instrument, first.date, layout, whole),
-        shapes=sums.shapes,
-        rows=sums.rows,
-        residual=float(np.sqrt(variance.mean() * sums.rows / sums.weight)),
+        shapes=shapes,
+        rows=reader.rows,
+        residual=float(np.sqrt(variance.mean() / weight)),
         misfit=float(left[1].sum() / left[0].sum()) if len(left) == 2 else float("nan"),
         error=whole_error,
         inverse=whole_inverse,

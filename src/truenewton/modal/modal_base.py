@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -140,8 +140,8 @@ class Dissipation:
 
     def _forces(self) -> Iterator[tuple[slice, Array]]:
         """Yield blocks of modes and the (n, b) forces of the first modes up to each."""
-        for answer in _answers(self.modes, self.stiffness, self.seen.wavefront):
-            yield answer.some, answer.force
+        for some, _, _, force in _answers(self.modes, self.stiffness, self.seen.wavefront):
+            yield some, force
 
     def modes_within(self, limits: Budget, *, alpha_error: ArrayLike = 0.0) -> int:
         """Return the largest N such that the first 1..N modes are all within the limits.
@@ -193,16 +193,16 @@ def dissipation(
     EFFICIENCIES.check(efficiency)
     efficiency = np.nan if efficiency is None else efficiency
     own, missed, *summaries = np.empty((7, modes.shape[1]))
-    for answer in _answers(modes, stiffness, seen.wavefront):
-        own[answer.some], missed[answer.some] = answer.own, answer.missed
-        power = _powers(answer.force, static, stiffness.enabled_alpha * efficiency)
+    for some, of_each, of_others, force in _answers(modes, stiffness, seen.wavefront):
+        own[some], missed[some] = of_each, of_others
+        power = _powers(force, static, stiffness.enabled_alpha * efficiency)
         for summary, values in zip(
             summaries,
-            (np.sqrt(np.mean(answer.force**2, axis=0)), answer.force.max(axis=0),
-             _reached(answer.force, static).max(axis=0), power.sum(axis=0), power.max(axis=0)),
+            (np.sqrt(np.mean(force**2, axis=0)), force.max(axis=0),
+             _reached(force, static).max(axis=0), power.sum(axis=0), power.max(axis=0)),
             strict=True,
         ):  # fmt: skip
-            summary[answer.some] = values
+            summary[some] = values
     # Summed from the end: the small residual of the last modes is no difference of large numbers.
     left = np.append(np.cumsum(own[:0:-1])[::-1], 0.0)
     residual = np.sqrt((left + missed) / len(seen.wavefront))
@@ -219,17 +219,13 @@ def _reached(force: Array, static: Array) -> Array:
     return np.asarray(np.abs(static)[:, None] + FORCE_SIGMAS * force)
 
 
-class _Answer(NamedTuple):
-    """Results of b more modes: (b,) variances, and (n, b) forces of all modes up to each."""
+def _answers(
+    modes: Array, stiffness: TrueStiffness, wavefront: Array
+) -> Iterator[tuple[slice, Array, Array, Array]]:
+    """Yield blocks of b modes with three results.
 
-    some: slice
-    own: Array  # variance of the wavefront along each [m^2]
-    missed: Array  # residual of the actuators that follow, with all modes up to each [m^2]
-    force: Array  # rms [N]
-
-
-def _answers(modes: Array, stiffness: TrueStiffness, wavefront: Array) -> Iterator[_Answer]:
-    """Yield the results of blocks of modes.
+    These are (b,) the variance of the wavefront along each [m^2]; with all modes up to each, (b,)
+    the residual of the actuators that follow [m^2] and (n, b) the rms forces [N].
 
     One more mode adds b_N^2 A_NN to the variance of a force, with A = V'CV and b = G V, and twice
     b_N times its covariance with those before it: sum_j<N b_j A_jN = G V_<N (V_<N' C v_N).
@@ -251,7 +247,7 @@ def _answers(modes: Array, stiffness: TrueStiffness, wavefront: Array) -> Iterat
         )
         G = stiffness.acting_stiffness
         variance = variance + np.cumsum(_growth(G @ moved, G @ moved_before, own) / 4.0, axis=1)
-        yield _Answer(
+        yield (
             slice(start, start + step),
             own,
             np.maximum(left_there, 0.0).sum(axis=0),

@@ -80,40 +80,6 @@ def harmonics(fading: float, digits: int, shell: Shell) -> int:
     return max(3, int(np.ceil(-digits * np.log(10) / np.log(fading))))
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedEdge:
-    """An edge, the tractions of unit forces on it, and the response of the shell to them."""
-
-    radius: float  # of the edge [b]
-    outgoing: float  # ratio by which tractions fade from one harmonic to the next
-    response: Array  # (count, elements, unknowns, tractions) remainder per traction
-    traction: Array  # (2, count tractions, n_of) cosines and sines of the tractions of the forces
-
-
-def loaded_edge(
-    shell: Shell,
-    kernel: Kernel,
-    elements: RadialElements,
-    edge: float,
-    forces: NDArray[np.complex128],
-    radii: Array,
-    digits: int,
-) -> LoadedEdge:
-    """Return an edge with the harmonics that readings at (radii,) distances [m] need."""
-    s, ring = np.unique(np.abs(forces), return_inverse=True)
-    outgoing = fading(edge, s)
-    samples = 2 * harmonics(outgoing, digits, shell)
-    count = harmonics(outgoing * fading(edge, radii), digits, shell)
-    nu, groups = shell.poisson_ratio, np.array_split(s, -(-s.size // RINGS_AT_ONCE))
-    left = [kernel.edge_tractions(some, edge, nu, samples)[:count] for some in groups]
-    tractions = np.concatenate(left, axis=-1)
-    tractions[1:] *= 2.0  # harmonics m and -m
-    work = _edge_work(elements, edge)
-    parts = np.array_split(np.arange(count, dtype=float), -(-count // HARMONICS_AT_ONCE))
-    response = np.concatenate([elements.responses(part, work) for part in parts])
-    return LoadedEdge(edge, outgoing, response, turned(tractions, ring, forces))
-
-
 def fading(edge: float, radii: Array) -> float:
     """Return the ratio of successive harmonics between an edge and the nearest of (n,) radii."""
     return float(radii.max() if edge == 1.0 else edge / radii.min())
@@ -186,7 +152,7 @@ class RoundShell:
         since the glass under it does not bend. Its stiffness is not added to that of the glass.
         Symmetric only if displacements are read at point forces, or on the circle of the puck.
         """
-        shell, b, digits = self.shell, self.shell.outer_radius, self.digits
+        shell, b = self.shell, self.shell.outer_radius
         forces = on_glass(shell, of, "force", puck_radius)
         points = on_glass(shell, at, "point", sensor.outer_radius if sensor else 0.0)
         found = np.zeros((points.size, forces.size))
@@ -194,23 +160,50 @@ class RoundShell:
             return found
         elements = self._elements(np.abs(forces))
         kernel = Kernel(elements.shallowness, puck_radius / b)
-        edges = [
-            loaded_edge(shell, kernel, elements, edge, forces, np.abs(points), digits)
+        edges = {
+            edge: self._loaded_edge(edge, kernel, elements, forces, np.abs(points))
             for edge in (1.0, shell.inner_radius / b)
-        ]
+        }
         circles, mean = Circles.of(sensor, b) if sensor else None, mean_over(sensor, shell)
         for first in range(0, points.size, POINTS_AT_ONCE):
             some = points[first : first + POINTS_AT_ONCE]
             read = kernel.displacement(np.abs(some[:, None] - forces), circles)
             rings, ring = np.unique(np.abs(some), return_inverse=True)
-            for edge in edges:
-                count = harmonics(edge.outgoing * fading(edge.radius, rings), digits, shell)
-                remainder = read_remainder(elements, edge.response[:count], rings, mean)
+            for edge, (outgoing, response, tractions) in edges.items():
+                count = harmonics(outgoing * fading(edge, rings), self.digits, shell)
+                remainder = read_remainder(elements, response[:count], rings, mean)
                 waves = turned(np.swapaxes(remainder, 1, 2), ring, some)
-                for side, traction in zip(waves, edge.traction, strict=True):
+                for side, traction in zip(waves, tractions, strict=True):
                     read += side.T @ traction[: side.shape[0]]
             found[first : first + POINTS_AT_ONCE] = read * (b**2 / shell.bending_stiffness)
         return found
+
+    def _loaded_edge(
+        self,
+        edge: float,
+        kernel: Kernel,
+        elements: RadialElements,
+        forces: NDArray[np.complex128],
+        radii: Array,
+    ) -> tuple[float, Array, Array]:
+        """Return what forces do by an edge of a radius [b], in the harmonics for (radii,) readings.
+
+        The ratio by which tractions fade from one harmonic to the next; (count, elements, unknowns,
+        tractions) the remainder per traction; (2, count tractions, n_of) cosines and sines of the
+        tractions of unit forces.
+        """
+        s, ring = np.unique(np.abs(forces), return_inverse=True)
+        outgoing, nu = fading(edge, s), self.shell.poisson_ratio
+        samples = 2 * harmonics(outgoing, self.digits, self.shell)
+        count = harmonics(outgoing * fading(edge, radii), self.digits, self.shell)
+        groups = np.array_split(s, -(-s.size // RINGS_AT_ONCE))
+        left = [kernel.edge_tractions(some, edge, nu, samples)[:count] for some in groups]
+        tractions = np.concatenate(left, axis=-1)
+        tractions[1:] *= 2.0  # harmonics m and -m
+        work = _edge_work(elements, edge)
+        parts = np.array_split(np.arange(count, dtype=float), -(-count // HARMONICS_AT_ONCE))
+        response = np.concatenate([elements.responses(part, work) for part in parts])
+        return outgoing, response, turned(tractions, ring, forces)
 
     def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
         """Return the (n_at,) displacement per unit force spread evenly, along the normals [m/N]."""
