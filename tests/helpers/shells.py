@@ -24,8 +24,8 @@ def circle(radius, n, first=0.0):
     return radius * np.cos(angle), radius * np.sin(angle)
 
 
-def influence(shell, at, of, *, digits=13, **reading):
-    return RoundShell(shell, digits).influence(at, of, **reading)
+def influence(shell, at, of, **reading):
+    return RoundShell(shell).influence(at, of, **reading)
 
 
 def uniform_influence(shell, at, **reading):
@@ -49,8 +49,8 @@ def free_stiffness(free, at, *, sensor=None, puck_radius=0.0):
     return condensing(compliance, shell_model.rigid_motions(*at)).stiffness
 
 
-def stiffness(shell, x, y, *, digits=13, **reading):
-    return free_stiffness(RoundShell(shell, digits), (x, y), **reading)
+def stiffness(shell, x, y, **reading):
+    return free_stiffness(RoundShell(shell), (x, y), **reading)
 
 
 def meshed_stiffness(shell, x, y, *, mesh_size, sensor=None):

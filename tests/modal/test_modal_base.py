@@ -12,7 +12,7 @@ import truenewton as tn
 from studies.modal_truth import score_modes
 from truenewton.bench.simulated.static import START, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnknownName
+from truenewton.errors import FormatError, OutputExists
 from truenewton.estimation.findings.estimate import Sensor
 from truenewton.modal import findings, summary
 from truenewton.modal.figures import modes_figures
@@ -219,17 +219,6 @@ def test_the_command_refuses_in_one_line(p45, inside, tmp_path, option, value, w
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
-
-
-def test_what_does_not_belong_together_is_refused(p45):
-    _, campaign, found = p45
-    matrix = found.measured.matrix
-    other = tn.StiffnessMatrix("P36", matrix.date, matrix.layout, matrix.stiffness)
-    with pytest.raises(CampaignMismatch):
-        find_modes(other, found.calibration)
-    for wrong in ({"off": [3], "slaved": [3]}, {"off": ["5", "17"]}, {"slaved": [5.5]}):
-        with pytest.raises(UnknownName):
-            find_modes(campaign, found.calibration, **wrong)
 
 
 def test_what_sensors_see_counts_once_in_files_written_and_read_again(p45, tmp_path):

@@ -492,8 +492,10 @@ def test_what_cannot_be_is_refused():
     )
     renamed = replace(matrix, layout=replace(layout, id=layout.id + 1))
     for error, said, data, alpha, options in (
-        (UnknownName, "ID 77 that is to be off", matrix, None, {"off": (77,)}),
-        (UnknownName, "ID 0 that is to be slaved; IDs go from", matrix, None, {"slaved": (0,)}),
+        (UnknownName, "no actuator 77 that is enabled", matrix, None, {"off": (77,)}),
+        (UnknownName, "no actuator 0 that is enabled; give IDs", matrix, None, {"slaved": (0,)}),
+        (UnknownName, "actuator 5 that .* whole numbers", matrix, None, {"off": ("5", "17")}),
+        (UnknownName, "actuator 5.5 that .* whole numbers", matrix, None, {"slaved": (5.5,)}),
         (UnknownName, "4 is both off and slaved", matrix, None, {"off": (3, 4), "slaved": (4, 5)}),
         (RankDeficient, "only 3 actuators of 45 left", matrix, None, {"off": range(1, 43)}),
         (RankDeficient, "2 actuators switched off, not stabilised", loose, None, {"off": (1, 2)}),

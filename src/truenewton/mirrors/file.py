@@ -56,14 +56,11 @@ class _Written(MirrorNumbers):
     actuators: str
 
 
-@dataclass(frozen=True)
-class _Placed:
-    """A segment in the file of a mirror: its own file, and its place."""
+@dataclass(frozen=True, kw_only=True)
+class _Placed(Place):
+    """A segment in the file of a mirror: its place, and its own file."""
 
     file: str
-    x: float
-    y: float
-    turned: float = 0.0
 
 
 @dataclass(frozen=True)

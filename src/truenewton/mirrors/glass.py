@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.quantities import Quantity, convert_quantities
 from truenewton.statics.layout import MAX_DISTANCE
+
+if TYPE_CHECKING:
+    from shapely import Polygon as Surface
 
 MIN_THICKNESS = 1e-6  # [m]
 MIN_THICKNESS_RATIO = 1e-4  # to the outer radius; large shells have 1.6e-3
@@ -62,6 +65,15 @@ VERTEX = Quantity(
 )  # fmt: skip
 Polygon = tuple[tuple[float, float], ...]
 Points = tuple[Array, Array]  # x and y along the glass [m]
+
+
+def polygon_of(loops: Sequence[Array]) -> Surface:
+    """Return the glass within the first of (n, 2) polygons and outside the others."""
+    import shapely  # late: rings do without it
+
+    polygon = shapely.Polygon(loops[0], loops[1:])
+    shapely.prepare(polygon)
+    return polygon
 
 
 @dataclass(frozen=True)
@@ -142,18 +154,18 @@ class Shell:
     @property
     def mass(self) -> float:
         """Mass of the glass [kg]."""
-        return float(self._area_and_moments()[0] * self.thickness * self.density)
+        area = np.pi * (self.outer_radius**2 - self.inner_radius**2)
+        if self.outline is not None:
+            area = polygon_of(self.polygons()).area
+        return float(area * self.thickness * self.density)
 
     @property
     def centroid(self) -> tuple[float, float]:
         """Centre of the glass, x and y [m]."""
-        area, x_moment, y_moment = self._area_and_moments()
-        return float(x_moment / area), float(y_moment / area)
-
-    def _area_and_moments(self) -> Array:
-        if self.outline is not None:
-            return areas_and_moments(self.polygons())
-        return np.array([np.pi * (self.outer_radius**2 - self.inner_radius**2), 0.0, 0.0])
+        if self.outline is None:
+            return 0.0, 0.0
+        centre = polygon_of(self.polygons()).centroid
+        return centre.x, centre.y
 
     def polygons(self) -> list[Array]:
         """Return the edge and the holes of an outlined glass, (vertices, 2) along the glass [m]."""
@@ -219,14 +231,3 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
             remedy="it is taken as shallow: give several outer radii, with sign; leave it out for a"
             " plate",
         )
-
-
-def areas_and_moments(loops: Sequence[Array]) -> Array:
-    """Return the integrals of 1, x and y over a polygon less its holes, (vertices, 2) each."""
-    total = np.zeros(3)
-    for k, loop in enumerate(loops):
-        (x, y), (next_x, next_y) = loop.T, np.roll(loop, -1, axis=0).T
-        cross = x * next_y - next_x * y
-        parts = np.array([cross.sum() / 2, cross @ (x + next_x) / 6, cross @ (y + next_y) / 6])
-        total += parts * np.sign(parts[0]) * (-1 if k else 1)
-    return total

@@ -15,9 +15,9 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Outline, Polygon, Shell
+from truenewton.mirrors.glass import Outline, Polygon, Shell, polygon_of
 from truenewton.mirrors.known import Mirror, standard_mirror
-from truenewton.mirrors.shell.mesh import depth_inside, polygon_of
+from truenewton.mirrors.shell.mesh import depth_inside
 from truenewton.quantities import Quantity, convert_quantities
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, layout, rings

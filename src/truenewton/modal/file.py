@@ -64,7 +64,12 @@ class _Written:
 
     def whole(self, values: Array) -> Array:
         """Return (N, m) values of all actuators from (n, m) of the enabled; 0 for others."""
-        return self.base.on_all_actuators(values)
+        on = self.base.layout.enabled
+        if on.all():
+            return values
+        everywhere = np.zeros((on.size, values.shape[1]))
+        everywhere[on] = values
+        return everywhere
 
     def displacements(self, cost: int | None = None) -> Array:
         """Return (n, m) displacements of the enabled actuators for the modes of a base."""

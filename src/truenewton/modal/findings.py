@@ -32,7 +32,7 @@ from truenewton.calibration.methods import (
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import refusal_of, refuse_unusable
 from truenewton.calibration.workers import executor_for
-from truenewton.errors import CampaignMismatch, Fault, FormatError, RankDeficient, UnknownName
+from truenewton.errors import CampaignMismatch, Fault, FormatError, RankDeficient
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
@@ -408,8 +408,7 @@ def _of_segments(
     pupil = None
     if request.diameter is not None:
         pupil = pupil_of(layout, request.diameter, request.radius)
-    for unknown in (name for name in (*request.off, *request.slaved) if name not in layout.id):
-        raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
+    layout.ids_of((*request.off, *request.slaved))
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
         if calibration is not None and number in calibration.failed:

@@ -282,15 +282,6 @@ class ModalBase:
         """All N actuators of the stiffness."""
         return self.matrix.layout
 
-    def on_all_actuators(self, values: Array) -> Array:
-        """Return (N, k) values of all actuators from (n, k) of the enabled; 0 for others."""
-        on = self.layout.enabled
-        if on.all():
-            return values
-        everywhere = np.zeros((on.size, values.shape[1]))
-        everywhere[on] = values
-        return everywhere
-
 
 def modal_base(
     matrix: StiffnessMatrix,

@@ -48,16 +48,12 @@ def off_and_slaved(
     layout: Layout, off: Sequence[int], slaved: Sequence[int]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return (n,) which actuators are off and (n,) which are slaved; refuse invalid IDs."""
-    for ids, what in ((off, "off"), (slaved, "slaved")):
-        if not all(isinstance(name, int | np.integer) for name in ids):
+    ids = layout.id.tolist()
+    for name in (*off, *slaved):
+        if name not in ids:
             raise UnknownName(
-                f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]"
-            )
-        unknown = sorted({*map(int, ids)} - {*layout.id.tolist()})  # these do not overflow
-        if unknown:
-            raise UnknownName(
-                f"no enabled actuator has the ID {unknown[0]} that is to be {what}",
-                remedy=f"IDs go from {layout.id.min()} to {layout.id.max()}",
+                f"there is no actuator {name} that is enabled",
+                remedy=f"give IDs, whole numbers from {min(ids)} to {max(ids)}",
             )
     if both := sorted({*off} & {*slaved}):
         raise UnknownName(f"actuator {both[0]} is both off and slaved", remedy="name it once")

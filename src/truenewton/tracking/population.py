@@ -79,11 +79,9 @@ def fit_population(
     scatter = ((y - x @ ((y @ x) / x.sum(axis=0))) ** 2 @ x) / np.maximum(x.sum(axis=0) - 1, 1)
     variance = np.maximum(scatter - noise, 0.1 * noise) if start is None else start
 
-    def likelihood(variance: Array) -> tuple[float, Array, Array]:
-        value, _, score, information = _likelihood(variance, y, covariance, x)
-        return value, score, information
-
-    variance, information = maximise_likelihood(likelihood, variance, noise)
+    variance, information = maximise_likelihood(
+        lambda tried: _likelihood(tried, y, covariance, x)[:3], variance, noise
+    )
     weighed = np.linalg.solve(covariance + np.diag(x @ variance), x)
     mean_covariance = np.linalg.inv(x.T @ weighed)
     return PopulationFit(
@@ -91,14 +89,14 @@ def fit_population(
         variance_covariance=np.asarray(np.linalg.inv(information), dtype=np.float64),
         mean=mean_covariance @ (weighed.T @ y),
         mean_covariance=mean_covariance,
-        projection=_likelihood(variance, y, covariance, x)[1],
+        projection=_likelihood(variance, y, covariance, x)[3],
     )
 
 
 def _likelihood(
     variance: Array, y: Array, covariance: Array, x: Array
 ) -> tuple[float, Array, Array, Array]:
-    """Return the restricted log-likelihood, P, the score and the expected information."""
+    """Return the restricted log-likelihood, the score, the expected information and P."""
     v = covariance + np.diag(x @ variance)
     factor = scipy.linalg.cho_factor(v, lower=True)
     inverse = scipy.linalg.cho_solve(factor, np.eye(len(y)))
@@ -109,7 +107,7 @@ def _likelihood(
     value = -0.5 * float(2 * np.log(np.diag(factor[0])).sum() + np.linalg.slogdet(gram)[1] + y @ py)
     score = 0.5 * ((py**2 - np.diag(p)) @ x)
     information = 0.5 * x.T @ (p**2) @ x
-    return value, p, score, information
+    return value, score, information, p
 
 
 def populations_from(
@@ -172,7 +170,7 @@ def most_outlying(
     for k, spread in enumerate(spreads):
         variance = rest.variance.copy()
         variance[effect] = spread**2
-        value, p, _, _ = _likelihood(variance, y, covariance, x)
+        value, _, _, p = _likelihood(variance, y, covariance, x)
         precision = p[index, index]
         deviation[k] = (p @ y)[index] / np.sqrt(precision)
         likelihood[k] = value - 0.5 * np.log(precision) + 0.5 * deviation[k] ** 2

@@ -1,7 +1,6 @@
 """Finite elements of the glass against closed forms, published figures and the other model."""
 
 from dataclasses import replace
-from math import factorial
 
 import numpy as np
 import pytest
@@ -10,15 +9,8 @@ from helpers.shells import FLAT, SPHERE, TILTS, X, Y, meshed_stiffness, stiffnes
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Outline
 from truenewton.mirrors.shell.mesh import checked_polygons, shell_mesh
-from truenewton.mirrors.shell.meshed_shell import (
-    argyris,
-    elastic_energy,
-    monomials,
-    quadrature,
-)
 
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
-NONE = np.zeros(0)
 
 
 def curl(angles, radius):
@@ -127,65 +119,6 @@ def test_the_triangle_at_a_place(crowd):
     assert np.min(parts) > -1e-14
     with pytest.raises(GeometryError, match=r"point 1 .* off the glass"):
         mesh.triangle_at(np.array([[0.06, 0.03], [0.0, 0.0]]))
-
-
-# --- the element -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("degree", [6, 10])
-def test_quadrature_is_exact_to_its_degree(degree):
-    (_, u, v), weights = quadrature(degree)[0].T, quadrature(degree)[1]
-    for i in range(degree + 1):
-        for j in range(degree + 1 - i):
-            exact = 2 * factorial(i) * factorial(j) / factorial(i + j + 2)
-            assert weights @ (u**i * v**j) == pytest.approx(exact, rel=1e-13)
-
-
-DERIVATIVES = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
-
-
-def unknowns_of(mesh, function):
-    """Read off the unknowns of w from function(places, derivative)."""
-    at = np.stack([function(mesh.points, d) * mesh.size ** sum(d) for d in DERIVATIVES], axis=1)
-    first, second = mesh.points[mesh.edges[:, 0]], mesh.points[mesh.edges[:, 1]]
-    along = (second - first) / np.linalg.norm(second - first, axis=1)[:, None]
-    middle = 0.5 * (first + second)
-    slope = along[:, 1] * function(middle, (1, 0)) - along[:, 0] * function(middle, (0, 1))
-    return np.concatenate([at.ravel(), mesh.size * slope])
-
-
-def test_quintics_are_held_exactly():
-    mesh = outline_mesh(PETAL, NONE, NONE, mesh_size=20e-3)
-    element = argyris(mesh)
-    coefficients = np.random.default_rng(3).normal(size=21)
-
-    def quintic(places, derivative):
-        return monomials(places / 0.1, derivative) @ coefficients / 0.1 ** sum(derivative)
-
-    q = unknowns_of(mesh, quintic)
-    places = quadrature(6)[0] @ mesh.corners
-    for d in DERIVATIVES:
-        shapes = element.shapes(np.arange(len(places)), places, d)
-        got = np.einsum("tqj, tj -> tq", shapes, q[element.unknown])
-        want = quintic(places, d)
-        assert np.abs(got - want).max() < 1e-8 * np.abs(want).max()
-
-
-# --- the energy ------------------------------------------------------------------------------
-
-
-def test_twist_of_a_rectangle_is_held_by_its_corners():
-    """w = x y: forces 2 D (1 - nu) at the corners, none elsewhere (Timoshenko, article 11)."""
-    mesh = outline_mesh(SQUARE * [1.0, 0.6], NONE, NONE, mesh_size=20e-3)
-    element = argyris(mesh)
-    q = unknowns_of(mesh, lambda places, d: monomials(places, d)[..., 4])
-    forces = elastic_energy(FLAT, mesh, element) @ q
-    corner_force = 2 * FLAT.bending_stiffness * (1 - FLAT.poisson_ratio)
-    corners = np.flatnonzero(np.isclose(np.abs(mesh.points), [0.1, 0.06]).all(axis=1))
-    assert corners.size == 4
-    want = np.zeros(element.count)
-    want[6 * corners] = corner_force * np.sign(mesh.points[corners]).prod(axis=1)
-    assert forces == pytest.approx(want, abs=1e-8 * corner_force)
 
 
 # --- stiffness -------------------------------------------------------------------------------

@@ -221,11 +221,8 @@ class MeshedFilm:
         edge = np.unique(self.mesh.edges[sides == 1])
         return np.setdiff1d(np.arange(len(self.mesh.points)), edge), edge
 
-    def values(self, at: Points) -> Array:
+    def values(self, at: Points) -> csr_array:
         """Return the (points, functions) values, a function for each inner vertex."""
-        return np.asarray(self._values(at).toarray())
-
-    def _values(self, at: Points) -> csr_array:
         places = np.stack(at, axis=1)
         triangle = self.mesh.triangle_at(places)
         corners = self.mesh.corners[triangle]
@@ -239,7 +236,7 @@ class MeshedFilm:
 
     def work(self, at: Points, shapes: Array) -> Array:
         """Return (functions, k) sums of each over places, times (places, k) area times shape."""
-        return np.asarray(self._values(at).T @ shapes)
+        return np.asarray(self.values(at).T @ shapes)
 
     def solve(self, work: Array) -> Array:
         """Return the (functions, k) pressure G of such sums."""

@@ -20,7 +20,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Shell, areas_and_moments, check_shell
+from truenewton.mirrors.glass import Shell, check_shell, polygon_of
 from truenewton.rounding import counted
 
 if TYPE_CHECKING:
@@ -38,15 +38,6 @@ MAX_TRIANGLES = 100_000  # 22 000 of a curved glass take 1.5 GB, and more than i
 MAX_VERTICES = 2000  # of all polygons: elements are no longer than sides
 MIN_MESH_SIZE = 1e-6  # [m]
 MIN_DISTANCE = 0.02  # between actuators, and to an edge, in mesh sizes
-
-
-def polygon_of(loops: Sequence[Array]) -> Polygon:
-    """Return the glass within the first of (n, 2) polygons and outside the others."""
-    import shapely  # late: rings do without it
-
-    polygon = shapely.Polygon(loops[0], loops[1:])
-    shapely.prepare(polygon)
-    return polygon
 
 
 def inside(glass: Polygon, places: Array) -> NDArray[np.bool_]:
@@ -97,7 +88,7 @@ def check_mesh_size(loops: Sequence[Array], mesh_size: float) -> None:
             f"mesh size {mesh_size:.6g} m",
             remedy=f"give a positive length, {MIN_MESH_SIZE:g} m at least",
         )
-    triangles = areas_and_moments(loops)[0] / (np.sqrt(3 / 16) * mesh_size**2)
+    triangles = polygon_of(loops).area / (np.sqrt(3 / 16) * mesh_size**2)
     if triangles > MAX_TRIANGLES:
         coarser = mesh_size * np.sqrt(triangles / MAX_TRIANGLES)
         raise GeometryError(
@@ -115,15 +106,10 @@ def checked_places(loops: Sequence[Array], x: Array, y: Array, mesh_size: float)
     """Return (n, 2) positions of actuators [m], once known to be on the glass and apart."""
     places = np.stack([x, y], axis=1)
     closest, depth = MIN_DISTANCE * mesh_size, depth_inside(loops, places)
-    for i in np.flatnonzero(~(depth >= 0)):
+    for i in np.flatnonzero(~(depth >= closest)):
         raise GeometryError(
-            f"actuator {i} at x = {x[i]:.6g} m, y = {y[i]:.6g} m is off the glass",
-            remedy="bring it within the outline",
-        )
-    for i in np.flatnonzero(depth < closest):
-        raise GeometryError(
-            f"actuator {i} at x = {x[i]:.6g} m, y = {y[i]:.6g} m is all but on an edge",
-            remedy=f"keep actuators {closest:.2g} m away from edges, or take a smaller mesh size",
+            f"actuator {i} at x = {x[i]:.6g} m, y = {y[i]:.6g} m is off the glass or on an edge",
+            remedy=f"bring it {closest:.2g} m within the outline, or take a smaller mesh size",
         )
     for one, other in cKDTree(places).query_pairs(closest) if len(places) else ():
         raise GeometryError(

@@ -46,20 +46,36 @@ VERTEX_DERIVATIVES = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 TRIANGLES_AT_ONCE = 1024  # bounds the memory of the assembly
 FORCES_AT_ONCE = 64  # bounds the memory of the solutions
 POINTS_AT_ONCE = 4096
-AREA_DEGREE = 6  # of the quadrature over the glass
+AREA_DEGREE = 6  # of the quadrature over the glass: exact for bending
 
 
-@dataclass(frozen=True, eq=False)
 class Argyris:
     """The elements of a mesh."""
 
-    # (n_triangles, 2) and (n_triangles,) origin and unit of each triangle's monomials [m]
-    centre: Array
-    reach: Array
-    # (n_triangles, 21, 21) coefficients of the monomials, in rows, of the shape of each unknown
-    polynomials: Array
-    unknown: Indices  # (n_triangles, 21) number of each unknown in the mesh
-    count: int  # number of unknowns of the mesh
+    def __init__(self, mesh: Mesh) -> None:
+        corners = mesh.corners
+        # (n_triangles, 2) and (n_triangles,) origin and unit of each triangle's monomials [m]
+        self.centre, self.reach = corners.mean(axis=1), np.sqrt(mesh.areas)
+        local = (corners - self.centre[:, None]) / self.reach[:, None, None]
+
+        first, second = np.moveaxis(mesh.points[mesh.edges], 1, 0)
+        along = (second - first) / np.linalg.norm(second - first, axis=1)[:, None]
+        across = np.stack([along[:, 1], -along[:, 0]], axis=1)[mesh.edge_of]
+        middle = 0.5 * (local + np.roll(local, -1, axis=1))
+        slope = np.stack([monomials(middle, (1, 0)), monomials(middle, (0, 1))], axis=-1)
+        at_edges = np.einsum("tejd, ted -> tej", slope, across)
+        at_vertices = np.stack([monomials(local, d) for d in VERTEX_DERIVATIVES], axis=2)
+        unknowns = np.concatenate([at_vertices.reshape(-1, 18, 21), at_edges], axis=1)
+
+        order = np.array([sum(d) for d in VERTEX_DERIVATIVES] * 3 + [1] * 3)
+        scale = (self.reach[:, None] / mesh.size) ** order
+        # (n_triangles, 21, 21) coefficients of the monomials, in rows, of the shape of each unknown
+        self.polynomials = np.linalg.inv(unknowns) * scale[:, None]
+        vertices = len(mesh.points)
+        numbers = (6 * mesh.triangles[:, :, None] + np.arange(6)).reshape(-1, 18)
+        # (n_triangles, 21) number of each unknown in the mesh, and the number of all
+        self.unknown = np.concatenate([numbers, 6 * vertices + mesh.edge_of], axis=1)
+        self.count = 6 * vertices + len(mesh.edges)
 
     def shapes(self, triangle: Indices, places: Array, derivative: tuple[int, int]) -> Array:
         """Return (n, q, 21) derivatives of the shapes, of orders along x and y.
@@ -70,36 +86,6 @@ class Argyris:
         local = (places - self.centre[triangle, None]) / reach
         values = monomials(local, derivative) @ self.polynomials[triangle]
         return np.asarray(values / reach ** sum(derivative))
-
-
-def argyris(mesh: Mesh) -> Argyris:
-    """Return the elements of a mesh."""
-    corners = mesh.corners
-    centre = corners.mean(axis=1)
-    reach = np.sqrt(mesh.areas)
-    local = (corners - centre[:, None]) / reach[:, None, None]
-
-    first, second = np.moveaxis(mesh.points[mesh.edges], 1, 0)
-    along = (second - first) / np.linalg.norm(second - first, axis=1)[:, None]
-    across = np.stack([along[:, 1], -along[:, 0]], axis=1)[mesh.edge_of]
-    middle = 0.5 * (local + np.roll(local, -1, axis=1))
-    slope = np.stack([monomials(middle, (1, 0)), monomials(middle, (0, 1))], axis=-1)
-    at_edges = np.einsum("tejd, ted -> tej", slope, across)
-    at_vertices = np.stack([monomials(local, d) for d in VERTEX_DERIVATIVES], axis=2)
-    unknowns = np.concatenate([at_vertices.reshape(-1, 18, 21), at_edges], axis=1)
-
-    order = np.array([sum(d) for d in VERTEX_DERIVATIVES] * 3 + [1] * 3)
-    scale = (reach[:, None] / mesh.size) ** order
-    six = np.arange(6)
-    vertices = len(mesh.points)
-    numbers = (6 * mesh.triangles[:, :, None] + six).reshape(-1, 18)
-    return Argyris(
-        centre=centre,
-        reach=reach,
-        polynomials=np.linalg.inv(unknowns) * scale[:, None],
-        unknown=np.concatenate([numbers, 6 * vertices + mesh.edge_of], axis=1),
-        count=6 * vertices + len(mesh.edges),
-    )
 
 
 def monomials(places: Array, derivative: tuple[int, int]) -> Array:
@@ -113,69 +99,19 @@ def monomials(places: Array, derivative: tuple[int, int]) -> Array:
     return values
 
 
-def quadrature(degree: int) -> tuple[Array, Array]:
-    """Return a rule on triangles, exact for polynomials up to a degree.
+def quadrature() -> tuple[Array, Array]:
+    """Return a rule on triangles, exact for polynomials of degree `AREA_DEGREE`.
 
     Gauss' rule on a square with one side contracted to a vertex (A. H. Stroud, Approximate
     Calculation of Multiple Integrals, 1971, section 2.4): (q, 3) barycentric coordinates and (q,)
     weights, which sum to 1.
     """
-    n = degree // 2 + 1
+    n = AREA_DEGREE // 2 + 1
     u, weight_u = roots_sh_jacobi(n, 2, 1)  # weight 1 - u
     v, weight_v = roots_sh_jacobi(n, 1, 1)
     across, up = np.repeat(u, n), np.outer(1 - u, v).ravel()
     weights = 2 * np.outer(weight_u, weight_v).ravel()
     return np.stack([1 - across - up, across, up], axis=1), weights / weights.sum()
-
-
-def elastic_energy(shell: Shell, mesh: Mesh, element: Argyris) -> csc_array:
-    """Return the matrix A [N/m] of the energy q' A q / 2 in the unknowns q [m].
-
-    The unknowns of w come first, then, if the glass is curved, u_x and u_y at every vertex and
-    at the middle of every edge. All terms use one rule of degree 6, which is exact for bending.
-    """
-    barycentric, weights = quadrature(6)
-    nu, D = shell.poisson_ratio, shell.bending_stiffness
-    plane = np.array([[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]])
-    law = np.kron(np.diag([D, 12 * D / shell.thickness**2]), plane)  # 12 D / t^2 = C
-    unknown = element.unknown
-    if np.isfinite(shell.radius_of_curvature):
-        node = np.concatenate([mesh.triangles, len(mesh.points) + mesh.edge_of], axis=1)
-        u_x = element.count + 2 * node
-        unknown = np.concatenate([unknown, u_x, u_x + 1], axis=1)
-
-    blocks, triangles = [], np.arange(len(mesh.triangles))
-    for some in np.array_split(triangles, -(-triangles.size // TRIANGLES_AT_ONCE)):
-        strains = _strains(shell, mesh, element, some, barycentric)
-        n, q, rows, width = strains.shape
-        areas = (mesh.areas[some, None] * weights)[:, :, None, None]
-        stresses = areas * (law[:rows, :rows] @ strains)
-        flat = (n, q * rows, width)
-        blocks.append(np.swapaxes(strains.reshape(flat), 1, 2) @ stresses.reshape(flat))
-    rows, columns = np.broadcast_arrays(
-        unknown.astype(np.int32)[:, :, None], unknown.astype(np.int32)[:, None, :]
-    )
-    return csc_array((np.concatenate(blocks).ravel(), (rows.ravel(), columns.ravel())))
-
-
-def _strains(
-    shell: Shell, mesh: Mesh, element: Argyris, some: Indices, barycentric: Array
-) -> Array:
-    """Return (n, q, 3 or 6, unknowns): k_xx, k_yy, 2 k_xy and e_xx, e_yy, 2 e_xy of each shape."""
-    corners = mesh.corners[some]
-    places = barycentric @ corners
-    curved = np.isfinite(shell.radius_of_curvature)
-    strains = np.zeros((*places.shape[:2], 6, 33) if curved else (*places.shape[:2], 3, 21))
-    strains[:, :, 0, :21] = element.shapes(some, places, (2, 0))
-    strains[:, :, 1, :21] = element.shapes(some, places, (0, 2))
-    strains[:, :, 2, :21] = 2 * element.shapes(some, places, (1, 1))
-    if curved:
-        swelling = element.shapes(some, places, (0, 0)) / shell.radius_of_curvature
-        strains[:, :, 3, :21] = strains[:, :, 4, :21] = -swelling
-        along_x, along_y = _quadratic_slopes(corners, mesh.areas[some], barycentric)
-        strains[:, :, 3, 21:27] = strains[:, :, 5, 27:] = along_x
-        strains[:, :, 4, 27:] = strains[:, :, 5, 21:27] = along_y
-    return strains
 
 
 def _quadratic_slopes(corners: Array, areas: Array, barycentric: Array) -> tuple[Array, Array]:
@@ -200,14 +136,13 @@ class MeshedShell:
     @cached_property
     def element(self) -> Argyris:
         """The element on every triangle."""
-        return argyris(self.mesh)
+        return Argyris(self.mesh)
 
     @cached_property
     def _held(self) -> tuple[Indices, SuperLU]:
         """The free unknowns if three vertices are fixed, and the factors of their energy."""
-        energy = elastic_energy(self.shell, self.mesh, self.element)
-        held = _held_still(self.shell, self.mesh, self.element)
-        free = np.setdiff1d(np.arange(energy.shape[0]), held)
+        energy = self._energy()
+        free = np.setdiff1d(np.arange(energy.shape[0]), self._held_still())
         factor = splu(  # a positive matrix needs no pivoting
             csc_array(energy[free][:, free]),
             permc_spec="MMD_AT_PLUS_A",
@@ -215,6 +150,72 @@ class MeshedShell:
             options={"SymmetricMode": True},
         )
         return free, factor
+
+    def _energy(self) -> csc_array:
+        """Return the matrix A [N/m] of the energy q' A q / 2 in the unknowns q [m].
+
+        The unknowns of w come first, then, if the glass is curved, u_x and u_y at every vertex and
+        at the middle of every edge. All terms use one rule, which is exact for bending.
+        """
+        shell, mesh, element = self.shell, self.mesh, self.element
+        barycentric, weights = quadrature()
+        nu, D = shell.poisson_ratio, shell.bending_stiffness
+        plane = np.array([[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]])
+        law = np.kron(np.diag([D, 12 * D / shell.thickness**2]), plane)  # 12 D / t^2 = C
+        unknown = element.unknown
+        if np.isfinite(shell.radius_of_curvature):
+            node = np.concatenate([mesh.triangles, len(mesh.points) + mesh.edge_of], axis=1)
+            u_x = element.count + 2 * node
+            unknown = np.concatenate([unknown, u_x, u_x + 1], axis=1)
+
+        blocks, triangles = [], np.arange(len(mesh.triangles))
+        for some in np.array_split(triangles, -(-triangles.size // TRIANGLES_AT_ONCE)):
+            strains = self._strains(some, barycentric)
+            n, q, rows, width = strains.shape
+            areas = (mesh.areas[some, None] * weights)[:, :, None, None]
+            stresses = areas * (law[:rows, :rows] @ strains)
+            flat = (n, q * rows, width)
+            blocks.append(np.swapaxes(strains.reshape(flat), 1, 2) @ stresses.reshape(flat))
+        rows, columns = np.broadcast_arrays(
+            unknown.astype(np.int32)[:, :, None], unknown.astype(np.int32)[:, None, :]
+        )
+        return csc_array((np.concatenate(blocks).ravel(), (rows.ravel(), columns.ravel())))
+
+    def _strains(self, some: Indices, barycentric: Array) -> Array:
+        """Return k_xx, k_yy, 2 k_xy, e_xx, e_yy, 2 e_xy of shapes, (n, q, 3 or 6, unknowns)."""
+        element, corners = self.element, self.mesh.corners[some]
+        places = barycentric @ corners
+        curved = np.isfinite(self.shell.radius_of_curvature)
+        strains = np.zeros((*places.shape[:2], 6, 33) if curved else (*places.shape[:2], 3, 21))
+        strains[:, :, 0, :21] = element.shapes(some, places, (2, 0))
+        strains[:, :, 1, :21] = element.shapes(some, places, (0, 2))
+        strains[:, :, 2, :21] = 2 * element.shapes(some, places, (1, 1))
+        if curved:
+            swelling = element.shapes(some, places, (0, 0)) / self.shell.radius_of_curvature
+            strains[:, :, 3, :21] = strains[:, :, 4, :21] = -swelling
+            along_x, along_y = _quadratic_slopes(corners, self.mesh.areas[some], barycentric)
+            strains[:, :, 3, 21:27] = strains[:, :, 5, 27:] = along_x
+            strains[:, :, 4, 27:] = strains[:, :, 5, 21:27] = along_y
+        return strains
+
+    def _held_still(self) -> Indices:
+        """Return the unknowns that fix the rigid motions of a glass.
+
+        They are w at three distant vertices and, for a curved glass, two displacements along it and
+        one rotation.
+        """
+        points = self.mesh.points - self.mesh.points.mean(axis=0)
+        first = np.linalg.norm(points, axis=1).argmax()
+        arm = points - points[first]
+        second = np.linalg.norm(arm, axis=1).argmax()
+        third = np.abs(arm[:, 0] * arm[second, 1] - arm[:, 1] * arm[second, 0]).argmax()
+        bending = 6 * np.array([first, second, third])
+        if not np.isfinite(self.shell.radius_of_curvature):
+            return bending
+        across, up = np.abs(arm[second])
+        turning = 2 * second + (1 if across > up else 0)  # u_y rotates an arm along x
+        in_plane = self.element.count + np.array([2 * first, 2 * first + 1, turning])
+        return np.concatenate([bending, in_plane])
 
     def influence(
         self, at: Points, of: Points, sensor: Annulus | None = None, puck_radius: float = 0.0
@@ -235,7 +236,7 @@ class MeshedShell:
 
     def quadrature(self, actuators: int) -> tuple[Points, Array]:  # noqa: ARG002
         """Return x, y [m] and areas [m^2] of a rule on each triangle."""
-        barycentric, weights = quadrature(AREA_DEGREE)
+        barycentric, weights = quadrature()
         x, y = (barycentric @ self.mesh.corners).reshape(-1, 2).T
         return (x, y), (self.mesh.areas[:, None] * weights).ravel()
 
@@ -279,23 +280,3 @@ def _annulus(sensor: Annulus) -> tuple[Array, Array]:
     angle = 2 * np.pi * np.arange(16) / 16
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return (radius[:, None, None] * ring).reshape(-1, 2), np.repeat(weight / 32, 16)
-
-
-def _held_still(shell: Shell, mesh: Mesh, element: Argyris) -> Indices:
-    """Return the unknowns that fix the rigid motions of a glass.
-
-    They are w at three distant vertices and, for a curved glass, two displacements along it and one
-    rotation.
-    """
-    points = mesh.points - mesh.points.mean(axis=0)
-    first = np.linalg.norm(points, axis=1).argmax()
-    arm = points - points[first]
-    second = np.linalg.norm(arm, axis=1).argmax()
-    third = np.abs(arm[:, 0] * arm[second, 1] - arm[:, 1] * arm[second, 0]).argmax()
-    bending = 6 * np.array([first, second, third])
-    if not np.isfinite(shell.radius_of_curvature):
-        return bending
-    across, up = np.abs(arm[second])
-    turning = 2 * second + (1 if across > up else 0)  # u_y rotates an arm along x
-    in_plane = element.count + np.array([2 * first, 2 * first + 1, turning])
-    return np.concatenate([bending, in_plane])

@@ -35,6 +35,7 @@ from truenewton.mirrors.shell.kernels import Circles, Kernel, Mean
 from truenewton.mirrors.shell.radial_elements import RadialElements, graded_nodes
 
 MIN_HOLE = 1e-4  # in outer radii; with a smaller one more than eight digits are lost
+DIGITS = 13  # decimal digits to keep of the series in harmonics and in radial polynomials
 MAX_HARMONICS = 5000  # more are needed only for a force close to an edge
 HARMONICS_AT_ONCE = 64  # these bound the memory while a shell is prepared
 RINGS_AT_ONCE = 64
@@ -69,15 +70,15 @@ def on_glass(
     return np.asarray((x + 1j * y) / b)
 
 
-def harmonics(fading: float, digits: int, shell: Shell) -> int:
-    """Return the number of harmonics until ``fading`` ** m is below 10 ** -digits."""
-    if fading >= 10.0 ** (-digits / MAX_HARMONICS):
-        nearest = shell.outer_radius * digits * np.log(10) / MAX_HARMONICS
+def harmonics(fading: float, shell: Shell) -> int:
+    """Return the number of harmonics until ``fading`` ** m is below 10 ** -`DIGITS`."""
+    if fading >= 10.0 ** (-DIGITS / MAX_HARMONICS):
+        nearest = shell.outer_radius * DIGITS * np.log(10) / MAX_HARMONICS
         raise GeometryError(
             "a force acts on an edge of the glass, or so near that its series hardly converges",
             remedy=f"keep forces {nearest:.2g} m away from the edges",
         )
-    return max(3, int(np.ceil(-digits * np.log(10) / np.log(fading))))
+    return max(3, int(np.ceil(-DIGITS * np.log(10) / np.log(fading))))
 
 
 def fading(edge: float, radii: Array) -> float:
@@ -139,7 +140,6 @@ class RoundShell:
     """
 
     shell: Shell  # the glass; |R| several times its outer radius
-    digits: int = 13  # decimal digits to keep of the series in harmonics and in radial polynomials
 
     def influence(
         self, at: Points, of: Points, sensor: Annulus | None = None, puck_radius: float = 0.0
@@ -170,7 +170,7 @@ class RoundShell:
             read = kernel.displacement(np.abs(some[:, None] - forces), circles)
             rings, ring = np.unique(np.abs(some), return_inverse=True)
             for edge, (outgoing, response, tractions) in edges.items():
-                count = harmonics(outgoing * fading(edge, rings), self.digits, shell)
+                count = harmonics(outgoing * fading(edge, rings), shell)
                 remainder = read_remainder(elements, response[:count], rings, mean)
                 waves = turned(np.swapaxes(remainder, 1, 2), ring, some)
                 for side, traction in zip(waves, tractions, strict=True):
@@ -194,8 +194,8 @@ class RoundShell:
         """
         s, ring = np.unique(np.abs(forces), return_inverse=True)
         outgoing, nu = fading(edge, s), self.shell.poisson_ratio
-        samples = 2 * harmonics(outgoing, self.digits, self.shell)
-        count = harmonics(outgoing * fading(edge, radii), self.digits, self.shell)
+        samples = 2 * harmonics(outgoing, self.shell)
+        count = harmonics(outgoing * fading(edge, radii), self.shell)
         groups = np.array_split(s, -(-s.size // RINGS_AT_ONCE))
         left = [kernel.edge_tractions(some, edge, nu, samples)[:count] for some in groups]
         tractions = np.concatenate(left, axis=-1)
@@ -226,7 +226,7 @@ class RoundShell:
         """Return functions of radius that resolve forces at (n_of,) radii [b]."""
         shell, curved = self.shell, shallowness(self.shell)
         nodes = graded_nodes(shell.inner_radius / shell.outer_radius, force_radius, curved)
-        return RadialElements(nodes, self.digits + 4, shell.poisson_ratio, curved)
+        return RadialElements(nodes, DIGITS + 4, shell.poisson_ratio, curved)
 
     def quadrature(self, actuators: int) -> tuple[Points, Array]:
         """Return x, y [m] and areas [m^2]: Gauss in radius, even steps in angle.
