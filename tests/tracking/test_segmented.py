@@ -200,7 +200,7 @@ def test_the_command_recalibrates_by_a_law_of_all_segments(after, files, days, i
     assert values["segments"][2]["verdict"]["level"] == "no alpha"
     code, _, wrong = inside(*words, "--actuators", 999)
     assert code == 2
-    assert "there is no actuator 999 that is enabled" in wrong
+    assert "there is no actuator 999; IDs run from" in wrong
     assert inside(*words, "--actuators", 105, "--segment", 1)[0] == 0
 
 
