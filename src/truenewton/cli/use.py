@@ -15,6 +15,8 @@ from truenewton.cli.terminal import about, busy, print_result, schema_of
 from truenewton.files.outputs import atomic_outputs, refuse_existing
 
 if TYPE_CHECKING:
+    from truenewton.modal.modal_base import Budget
+    from truenewton.modal.turbulence import Atmosphere
     from truenewton.report.verdict import Reported
 
 
@@ -147,19 +149,12 @@ def run_modes(
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modal_base import Budget
     from truenewton.modal.summary import detail_lines, lines, values
-    from truenewton.modal.turbulence import Atmosphere
     from truenewton.reading import read_alpha, read_data
     from truenewton.records.file import SUFFIXES
 
     options.require_suffix(output, SUFFIXES, "modal base")
     limits = Budget(power, total_power, force)
-    if efficiency is None and min(power, total_power) < math.inf:
-        raise typer.BadParameter("--power and --total-power need --efficiency, that of the coils")
-    given = {"seeing": seeing, "outer_scale": outer_scale}
-    known = {name: value for name, value in given.items() if value is not None}
-    atmosphere = Atmosphere(**known) if known or diameter is not None else None
-    if diameter is None and (atmosphere or limits != Budget()):
-        raise typer.BadParameter("turbulence and limits need --diameter, that of the pupil")
+    atmosphere = _atmosphere(seeing, outer_scale, diameter, efficiency, limits)
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     with busy("reading"):
         data = read_data(*paths, segment=segment)
@@ -193,6 +188,26 @@ def run_modes(
         details=detail_lines(found), values=values(found, limits),
         schema=schema_of("modes", found), json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip
+
+
+def _atmosphere(
+    seeing: float | None,
+    outer_scale: float | None,
+    diameter: float | None,
+    efficiency: float | None,
+    limits: Budget,
+) -> Atmosphere | None:
+    """Return the turbulence, None without a pupil; refuse limits that nothing was given for."""
+    from truenewton.modal.modal_base import Budget
+    from truenewton.modal.turbulence import Atmosphere
+
+    if efficiency is None and min(limits.power, limits.total) < math.inf:
+        raise typer.BadParameter("--power and --total-power need --efficiency, that of the coils")
+    given = {"seeing": seeing, "outer_scale": outer_scale}
+    known = {name: value for name, value in given.items() if value is not None}
+    if diameter is None and (known or limits != Budget()):
+        raise typer.BadParameter("turbulence and limits need --diameter, that of the pupil")
+    return Atmosphere(**known) if diameter is not None else None
 
 
 def run_export(
