@@ -32,7 +32,7 @@ nitpick_ignore_regex = [
     (
         "py:class",
         r"numpy\._typing\..*|astropy\.table\.table\..*|TypeAliasForwardRef|pd\.DataFrame"
-        r"|AnyCalibration|Data|Seen|Array"
+        r"|AnyCalibration|Data|Seen|Array|numpy.str_"
         r"|(collections\.abc\.)?Mapping\[int|tuple\[(float|Cycle)",
     )
 ]
