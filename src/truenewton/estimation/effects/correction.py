@@ -276,9 +276,7 @@ def moves_by_static_gain(fit: FittedRows, solved: Array) -> tuple[Array, Array]:
         return np.asarray(np.sum(pulled.T * (rows.T @ white), axis=1))
 
     def inverse_of_c(theta: Array) -> Array:
-        white = rows @ (pulled * theta).T
-        by_fit = fit.solved(fit.half_solved(fit.cross(white[:, :, None])))[:, 0]
-        return theta + on_gains(white - fit.white_change(by_fit))
+        return theta + on_gains(fit.left_by_fit(rows @ (pulled * theta).T))
 
     along = on_gains(fit.white_change(solved))
     theta, rest = np.zeros_like(along), along.copy()

@@ -243,6 +243,11 @@ class FittedRows:
         """Return (free, k) L^-1' of (free, k), which is H^-1 cross' of `half_solved` cross'."""
         return np.asarray(dtrmm(1.0, self._inverse_factor, half, lower=True, trans_a=1))
 
+    def left_by_fit(self, white: Array) -> Array:
+        """Return (R, 3) what the unknowns of the fit, moved by it, leave of (R, 3) S^-1/2 J."""
+        moved = self.solved(self.half_solved(self.cross(white[:, :, None])))[:, 0]
+        return white - self.white_change(moved)
+
 
 @dataclass(frozen=True, eq=False)
 class OfEach:

@@ -265,8 +265,7 @@ class Moments:
     @property
     def squares(self) -> Array:
         """(n,) sum of r c^2 over groups, without a copy of all means."""
-        some = blocks(len(self.mean), 8 * self.mean.shape[1])
-        return np.asarray(sum(self.weight[rows] @ np.square(self.mean[rows]) for rows in some))
+        return np.asarray(np.einsum("g,gi,gi->i", self.weight, self.mean, self.mean))
 
     @cached_property
     def sums(self) -> ShapeSums:
