@@ -24,6 +24,7 @@ from truenewton.estimation.effects.derivative import (
     variance_at_least,
 )
 from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.readings.moments import reading_noise
@@ -35,9 +36,9 @@ from truenewton.statics.layout import rings
 from truenewton.statics.load import Load
 
 SIGMA = 1e-3
-NAMES = [effect.name for effect in CATALOGUE]
+NAMES = [ENTRIES[effect.code].name for effect in CATALOGUE]
 THREE = (0, 1, 0, 1, 2, 2, 0)
-OF = {effect.name: effect for effect in CATALOGUE}
+OF = dict(zip(NAMES, CATALOGUE, strict=True))
 # What nobody looks for where no actuator stands out.
 SINGLE = {"gain of single actuators by file"}
 STRUCK = np.array([3, 9])
@@ -234,7 +235,7 @@ def test_clean_campaigns_score_as_chance_says(count, noise, order, error):
     for seed in range(count):
         campaign = SmallBench([seed, 5], noise, order=order).campaign()
         for test in effect_tests(fit_of(changed(campaign, force_error=error), pooled=True)):
-            p[test.effect.name].append(np.exp(test.log_probability))
+            p[ENTRIES[test.effect.code].name].append(np.exp(test.log_probability))
     for name, found in p.items():
         if not found:
             assert name in SINGLE or len(order) == 2 or max(order) == 1
@@ -276,9 +277,9 @@ def test_the_same_is_named_as_by_whole_tests(drift):
     fit = fit_of(drifting, pooled=True)
     found = effect_tests(fit)
     limit = np.log(1.0 - (1.0 - OF_EACH_KIND) ** (1.0 / len(found)))
-    expected = [(t.effect.name, t.log_probability) for t in found if t.log_probability < limit]
+    expected = [(t.effect.code, t.log_probability) for t in found if t.log_probability < limit]
     assert [
-        (t.effect.name, t.log_probability) for t in significant(effect_tests(fit, bounded=True))
+        (t.effect.code, t.log_probability) for t in significant(effect_tests(fit, bounded=True))
     ] == expected
     assert bool(expected) == bool(drift)
     passed = [t for t in found if surely_sound(fit, t.derivative, 1e-6)]

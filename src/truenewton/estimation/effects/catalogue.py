@@ -40,7 +40,6 @@ from truenewton.estimation.effects.fields import (
     functions_with,
     standing_out,
 )
-from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import bias_per_gain
 from truenewton.estimation.problem import Problem
@@ -78,20 +77,6 @@ class Effect:
     of: str = ""
     # Whether it is taken out of the data of a fit if that makes it fit; otherwise it is named
     corrected: Callable[[FittedRows], bool] = lambda _: True
-
-    @property
-    def within(self) -> bool:
-        """Whether rows of one group differ by it."""
-        return self.code in WITHIN_GROUPS
-
-    @property
-    def name(self) -> str:
-        """Its name for people."""
-        return ENTRIES[self.code].name
-
-    def remedy_of(self, fit: FittedRows) -> str:
-        """Return what the user can do, which may depend on what the files contain."""
-        return self.remedy if isinstance(self.remedy, str) else self.remedy(fit)
 
 
 # -- fields that several effects share ------------------------------------------------------------
@@ -436,7 +421,7 @@ def beside_shared_noise(
 
     Their order stays that of independent noise; ``samples`` (m, n) [N] as in `structure_of`.
     """
-    some = [test for test in found if test.effect.within]
+    some = [test for test in found if test.effect.code in WITHIN_GROUPS]
     judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
     codes = {test.effect.code for test in significant(judged)}
     return [test for test in some if test.effect.code in codes]

@@ -416,5 +416,5 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
         size=float(theta[worst]),
         unit=effect.unit,
         corrected=corrected is not None and effect.corrected(fit),
-        remedy=effect.remedy_of(fit),
+        remedy=effect.remedy if isinstance(effect.remedy, str) else effect.remedy(fit),
     )

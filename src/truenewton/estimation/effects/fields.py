@@ -238,20 +238,10 @@ def derivative_of(
 ) -> Derivative:
     """Return the derivative with respect to parameters theta of an effect on readings.
 
-    Parameters
-    ----------
-    fit, sums
-        The fit, and the sums of the field there.
-    functions
-        Which K of its functions have sizes, (K, n) mix theta.
-    each
-        Whether each actuator has sizes of its own, theta (K, n); otherwise all share (K, 1).
-    mix
-        (K, K), for example of `from_mean`; the identity if None.
-    actuators
-        Indices of the only ones that have sizes, if each has its own; None for all.
-    direction
-        (n,) sizes of each actuator along which nothing changes, if there is such a direction.
+    K of the field's functions have sizes, (K, n) mix theta, by a (K, K) mix, for example of
+    `from_mean`; the identity if None. With ``each``, every actuator, or each of those with the
+    indices ``actuators``, has sizes of its own, theta (K, n); otherwise all share (K, 1). Along an
+    (n,) ``direction`` of sizes of each actuator nothing changes.
     """
     n, k = fit.problem.n, functions.stop - functions.start
     mix = np.eye(k) if mix is None else mix
