@@ -470,10 +470,10 @@ def test_an_effect_that_the_data_are_blind_to_is_not_tested():
     """The weight of a load under two loads; positions never; gradients without POSITION."""
     bench = SmallBench(9, SIGMA)
     bench.has_position = False
-    tested = {test.effect.name for test in effect_tests(fit_of(bench.campaign()))}
+    tested = {ENTRIES[test.effect.code].name for test in effect_tests(fit_of(bench.campaign()))}
     assert tested == set(NAMES) - SINGLE - {"coil gradient", "bias gradient", "weight of a load"}
     one = changed(bench.campaign(), valid=lambda _, c: c.sign > 0)
-    tested = {test.effect.name for test in effect_tests(fit_of(one))}
+    tested = {ENTRIES[test.effect.code].name for test in effect_tests(fit_of(one))}
     assert not any("contact" in name for name in tested)
 
 
@@ -700,6 +700,6 @@ def test_files_of_the_same_time_have_hours_all_the_same():
     campaign = changed(bench.campaign(), date=date)
     assert not calibrate(campaign).effects
     still = changed(campaign, time=np.zeros(28))
-    tested = {test.effect.name for test in effect_tests(fit_of(still))}
+    tested = {ENTRIES[test.effect.code].name for test in effect_tests(fit_of(still))}
     assert not any("hour" in name for name in tested)
     assert not calibrate(still).effects
