@@ -169,9 +169,8 @@ class Shell:
 
     def polygons(self) -> list[Array]:
         """Return the edge and the holes of an outlined glass, (vertices, 2) along the glass [m]."""
-        outline = self.outline
-        loops = [] if outline is None else [outline.edge, *outline.holes]
-        return [np.stack(self.along(*np.reshape(loop, (-1, 2)).T), axis=1) for loop in loops]
+        loops = [] if self.outline is None else self.seen_edges()
+        return [np.stack(self.along(*loop.T), axis=1) for loop in loops]
 
     def seen_edges(self) -> list[Array]:
         """Return the edge and the holes as seen along the axis, (vertices, 2) each [m]."""

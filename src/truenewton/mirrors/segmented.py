@@ -15,7 +15,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Outline, Polygon, Shell, polygon_of
+from truenewton.mirrors.glass import Outline, Shell, polygon_of
 from truenewton.mirrors.known import Mirror, standard_mirror
 from truenewton.mirrors.shell.mesh import depth_inside
 from truenewton.quantities import Quantity, convert_quantities
@@ -193,14 +193,10 @@ def _petal() -> Mirror:
     lattice = np.stack([np.sqrt(0.75) * i + PETAL_SHIFT, j + 0.5 * (i % 2)], axis=-1)
     places = PETAL_LATTICE * lattice.reshape(-1, 2)
     x, y = places[depth_inside([edge], places) >= 14e-3].T
-    outline = Outline(_polygon(edge))
+    outline = Outline(tuple((float(x), float(y)) for x, y in edge))
     shell = Shell(0.0, 0.8, 1.95e-3, outline=outline)
     return standard_mirror("M4-PETAL", layout(x, y), shell, tool_radius=0.1)
 
 
 def _circle(radius: float, angle: Array) -> tuple[Array, Array]:
     return radius * np.cos(angle), radius * np.sin(angle)
-
-
-def _polygon(vertices: Array) -> Polygon:
-    return tuple((float(x), float(y)) for x, y in vertices)

@@ -101,7 +101,7 @@ def _less(vectors: Array, modes: Array) -> Array:
     return vectors
 
 
-def karhunen_loeve_modes(covariance: Array) -> Array:
+def karhunen_loeve_modes(covariance: Array, *, overwrite: bool = False) -> Array:
     """Return (n, n) orthonormal modes, one a column: piston, then by decreasing variance.
 
     They are the eigenvectors of the covariance; signs, and bases of equal eigenvalues, do not
@@ -111,6 +111,8 @@ def karhunen_loeve_modes(covariance: Array) -> Array:
     ----------
     covariance
         (n, n) `wavefront_covariance` [m^2], the mean of each row 0.
+    overwrite
+        Compute in the memory of the covariance, for large mirrors.
 
     Examples
     --------
@@ -119,12 +121,8 @@ def karhunen_loeve_modes(covariance: Array) -> Array:
     >>> np.allclose(modes.T @ modes, np.eye(45))
     True
     """
-    return overwritten_by_modes(np.array(covariance, dtype=float))
-
-
-def overwritten_by_modes(covariance: Array) -> Array:
-    """Return the same (n, n) modes; the covariance is overwritten."""
     n = len(covariance)
+    covariance = covariance if overwrite else np.array(covariance, dtype=float)
     # Moves piston from the eigenvalue 0, where the weakest modes are, to the other end.
     covariance -= np.trace(covariance) / n
     values, vectors = eigenvectors(covariance)

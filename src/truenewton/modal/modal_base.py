@@ -111,11 +111,6 @@ class Dissipation:
         return f"<Dissipation of {self.residual.size} {self.base} modes>"
 
     @property
-    def alpha(self) -> Array:
-        """(n,) true Newton / commanded Newton."""
-        return self.stiffness.enabled_alpha
-
-    @property
     def force(self) -> Array:
         """(n, m) rms true force of the turbulence on each actuator [N]; computed at each access."""
         found = np.empty((len(self.static), len(self.residual)))
@@ -126,7 +121,7 @@ class Dissipation:
     @property
     def power(self) -> Array:
         """(n, m) mean power of each coil, static force included [W]."""
-        return _powers(self.force, self.static, self.alpha * self.efficiency)
+        return _powers(self.force, self.static, self.stiffness.enabled_alpha * self.efficiency)
 
     @property
     def reach(self) -> Array:

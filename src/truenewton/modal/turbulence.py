@@ -12,7 +12,7 @@ from scipy.special import gamma, kv
 
 from truenewton.arrays import Array, freeze
 from truenewton.linalg import ROWS_AT_ONCE
-from truenewton.modal.bases import overwritten_by_modes, zernike_modes
+from truenewton.modal.bases import karhunen_loeve_modes, zernike_modes
 from truenewton.quantities import Quantity, check_quantities, convert_quantities
 from truenewton.statics.layout import Layout
 
@@ -244,7 +244,10 @@ def seen_turbulence(
     wavefront = wavefront_covariance(half * x, half * y, atmosphere)
     mean = wavefront @ commanded / np.count_nonzero(commanded)
     less_mean(wavefront, mean, float(mean[commanded].mean()))
-    karhunen_loeve = overwritten_by_modes(wavefront[np.ix_(commanded, commanded)])
+    karhunen_loeve = karhunen_loeve_modes(
+        wavefront[np.ix_(commanded, commanded)],
+        overwrite=True,  # held nowhere else
+    )
     zernike = zernike_modes(x[commanded], y[commanded])
     for values in (wavefront, karhunen_loeve, zernike):
         values.setflags(write=False)  # so that the record need not copy them

@@ -183,8 +183,6 @@ WEDGE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.03]])
         ({"x": [0.05, 0.05, 0.0], "y": [0.05, 0.05, 0.05]}, "actuators 0 and 1 .* the same place"),
         ({"x": [0.03, 0.05, 0.07], "y": [0.03, 0.05, 0.07]}, "on one line"),
         ({"shell": replace(FLAT, thickness=-1e-3, young_modulus=-1.0)}, "thickness is -0.001"),
-        ({"shell": replace(FLAT, young_modulus=-1.0)}, "Young's modulus -1 Pa"),
-        ({"shell": replace(FLAT, radius_of_curvature=0.1)}, "shallow"),
         ({"sensor": Annulus(8e-3, 60e-3)}, "sensor reaches over an edge"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",

@@ -352,6 +352,7 @@ def test_points_beside_the_sphere_are_refused():
         (replace(FLAT, outer_radius=np.nan), X, Y, "reaches from"),
         (replace(FLAT, thickness=-1.6e-3), X, Y, "thickness is -0.0016 m"),
         (replace(FLAT, poisson_ratio=0.7), X, Y, "Poisson ratio 0.7"),
+        (replace(FLAT, young_modulus=-1.0), X, Y, "Young's modulus -1 Pa"),
         (replace(FLAT, radius_of_curvature=0.0), X, Y, "radius of curvature 0 m"),
         (replace(FLAT, radius_of_curvature=0.12), X, Y, "taken as shallow"),
         (replace(FLAT, outer_radius=100e-3), X, Y, "force 24 .* off the glass"),

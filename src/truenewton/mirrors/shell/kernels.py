@@ -60,24 +60,15 @@ def mean_over_circle(radius: Array | float, shallowness: float) -> Mean:
     )
 
 
-@dataclass(frozen=True, eq=False)
 class Circles:
     """An annulus, as circles in units of b."""
 
-    # its radii
-    inner: float
-    outer: float
-    # radii of the circles, Gauss points, and their shares of the area
-    radii: Array
-    shares: Array
-
-    @classmethod
-    def of(cls, sensor: Annulus, unit: float) -> Circles:
-        """Return the circles of a sensor."""
-        inner, outer = sensor.inner_radius / unit, sensor.outer_radius / unit
+    def __init__(self, sensor: Annulus, b: float) -> None:
+        self.inner, self.outer = sensor.inner_radius / b, sensor.outer_radius / b
         xi, gauss = legendre.leggauss(CIRCLES)
-        radii = inner + 0.5 * (outer - inner) * (1 + xi)
-        return cls(inner, outer, radii, gauss * radii / (gauss @ radii))
+        # Radii of the circles, Gauss points, and their shares of the area.
+        self.radii: Array = self.inner + 0.5 * (self.outer - self.inner) * (1 + xi)
+        self.shares: Array = gauss * self.radii / (gauss @ self.radii)
 
     def mean(self, shallowness: float) -> Mean:
         """Return the mean over the annulus of a w that is regular inside."""

@@ -128,7 +128,7 @@ def mean_over(sensor: Annulus | None, shell: Shell) -> Mean:
     """Return the mean over a sensor in terms of w and its Laplacians at its centre."""
     if sensor is None:
         return Mean(np.zeros(()), np.zeros(()))
-    return Circles.of(sensor, shell.outer_radius).mean(shallowness(shell))
+    return Circles(sensor, shell.outer_radius).mean(shallowness(shell))
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class RoundShell:
             edge: self._loaded_edge(edge, kernel, elements, forces, np.abs(points))
             for edge in (1.0, shell.inner_radius / b)
         }
-        circles, mean = Circles.of(sensor, b) if sensor else None, mean_over(sensor, shell)
+        circles, mean = Circles(sensor, b) if sensor else None, mean_over(sensor, shell)
         for first in range(0, points.size, POINTS_AT_ONCE):
             some = points[first : first + POINTS_AT_ONCE]
             read = kernel.displacement(np.abs(some[:, None] - forces), circles)
