@@ -184,8 +184,9 @@ PRIOR_RESIDUALS = 4.0  # weight of the other sensors' noise in that of one
 def element_variance(stiffness: Array, fit: Fit, places: Places) -> tuple[Array, float]:
     """Return (n, n) variances of the elements of an (n, n) K_c [(N/m)^2], and their cost.
 
-    For sensors at the fitted offsets or at their magnets, whichever is more likely. The cost is
-    twice minus the mean log likelihood of a pair, to compare with that of modes.
+    For sensors at the fitted offsets or at their magnets, whichever is more likely; the residuals
+    at fitted offsets lack what these absorbed. The cost is twice minus the mean log likelihood of a
+    pair, to compare with that of modes.
     """
     at_magnets = replace(fit.values, offset=np.zeros_like(fit.values.offset))
     ways = [sensors_at(places, at_magnets, slopes=False)]
@@ -195,7 +196,20 @@ def element_variance(stiffness: Array, fit: Fit, places: Places) -> tuple[Array,
     for seen in ways:
         variance, cost, start = _likeliest(stiffness, fit, seen, start)
         found.append((variance, cost))
-    return min(found, key=lambda each: each[1])
+    least = min(cost for _, cost in found)  # noise of modes is judged by the same residuals
+    if len(found) > 1 and found[0][1] < found[1][1] + _cost_of_offsets(fit):
+        return found[0][0], least
+    return found[-1][0], least
+
+
+def _cost_of_offsets(fit: Fit) -> float:
+    """Return what the fitted offsets reduce the cost by, were the sensors at their magnets.
+
+    Twice their effective number over that of the pairs (Akaike).
+    """
+    n = len(fit.values.log_alpha)
+    held = sum(float(np.trace(fit.covariance_of(kind))) for kind in OFFSETS)
+    return 2.0 * (2 * n - held / fit.asked.offset_spread**2) / (0.5 * n * (n - 1))
 
 
 def _likeliest(
