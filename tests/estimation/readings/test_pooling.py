@@ -63,7 +63,7 @@ def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kin
     random = np.random.default_rng([KINDS.index(kind), 1])
     labels, weight, size = groups_of(kind, random)
     pooling = over_loads_and_signs(labels, weight, size)
-    u, on = np.hstack([pooling.shapes.toarray(), pooling.statics]), weight > 0
+    u, on = pooling.basis.toarray(), weight > 0
     x = columns(labels, size) * on[:, None]
     assert u.T @ (weight[:, None] * u) == pytest.approx(np.eye(pooling.count), abs=1e-12)
     assert pooling.count == np.linalg.matrix_rank(x)
@@ -96,8 +96,7 @@ def test_sums_are_those_of_the_rows(pooled):
     moments = replace(campaign_moments(campaign), pooled=pooled)
     chosen = np.random.default_rng(5).random(len(moments.rows)) > 0.1
     moments = chosen_groups(moments, chosen)
-    pooling, r = moments.pooling, moments.weight
-    u = np.hstack([pooling.shapes.toarray(), pooling.statics])
+    u, r = moments.pooling.basis.toarray(), moments.weight
     y, q = (u.T * r) @ moments.mean, (u.T * r) @ moments.known
     load = (u.T * r) @ (moments.labels[:, :1] == np.arange(3))
     assert moments.known.any()

@@ -144,7 +144,7 @@ class _FieldPass:
             weights = self.weights.sum(keepdims=True)
             arms = fit.scaled_arms.sum(axis=1, keepdims=True)
         self.pulled += e @ arms.T
-        rows = self.pool(e)
+        rows = (self.pool @ e).reshape(len(self.mean), -1, e.shape[1])
         square = np.einsum("krb,lrb->klb", rows, rows)
         self.between += square @ weights
         if k:
@@ -190,7 +190,7 @@ class _FieldPass:
                 sums = field.sums(within)
                 score[w] -= sums @ self.weights
                 each_score -= sums[: field.each]
-        jacobian = -self.pool(self.pulled)
+        jacobian = -(self.pool @ self.pulled).reshape(len(self.mean), -1, 3)
         return FieldSums(
             field, kind, np.moveaxis(jacobian, 0, 2), score, information, each_score / noise,
             self.each_information / noise, self.each_square, self.each_pull,
@@ -296,8 +296,10 @@ def _of_each(
 
     def rows() -> Array:
         h = mix.T @ sums.field.mean(fit.moments)[functions]
+        values = sums.field.at(fit, some)
         made = np.empty((len(fit.fitted_rows), k, arms.shape[1]))
-        made[:] = np.moveaxis(fit.moments.pooling.weighed(h)(sums.field.at(fit, some)), 0, 1)
+        weighed = (fit.moments.pooling.weighed(h) @ values).reshape(k, len(made), -1)
+        made[:] = np.moveaxis(weighed, 0, 1)
         return made.reshape(len(made), -1)
 
     return OfEach(

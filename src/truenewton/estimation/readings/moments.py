@@ -36,7 +36,7 @@ Quantization Noise, 2008), which does not decrease with the number of repeats.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -99,65 +99,51 @@ def shape_sums(mean: Array, weight: Array, known: Array, share: Array) -> ShapeS
 
 @dataclass(frozen=True, eq=False)
 class Pooling:
-    """Pooled rows: (g, R) basis U of groups of (g,) weights r, first of shapes, then of statics."""
+    """Pooled rows: (g, R) basis U of groups of (g,) weights r."""
 
-    shapes: scipy.sparse.csr_array  # (g, S), at most one element of each group
-    statics: Array  # (g, R - S)
+    basis: scipy.sparse.csr_array
     weight: Array
 
     @property
     def count(self) -> int:
         """R."""
-        return int(self.shapes.shape[1] + self.statics.shape[1])
+        return int(self.basis.shape[1])
 
     @cached_property
-    def _of_shapes(self) -> scipy.sparse.csr_array:
-        return self.shapes.T.tocsr()
+    def _transposed(self) -> scipy.sparse.csr_array:
+        return self.basis.T.tocsr()
 
-    def weighed(self, factors: Array) -> Callable[[Array], Array]:
-        """Return a function that makes (k, R, m) U' r f v of (g, m) values v, f each of (k, g)."""
-        heavy, parts = self.weight * factors, [self._of_shapes.copy() for _ in factors]
-        for part, weight in zip(parts, heavy, strict=True):
-            part.data *= weight[part.indices]
-            part.eliminate_zeros()
-        of_shapes = scipy.sparse.csr_array(scipy.sparse.vstack(parts))
-        of_statics = (self.statics.T * heavy[:, None]).reshape(-1, len(self.weight))
-
-        def rows(values: Array) -> Array:
-            shape = len(heavy), -1, values.shape[1]
-            both = (of_shapes @ values).reshape(shape), (of_statics @ values).reshape(shape)
-            return np.concatenate(both, axis=1)
-
-        return rows
+    def weighed(self, factors: Array) -> scipy.sparse.csr_array:
+        """Return (k R, g) U' r f, f one of (k, g) factors after the other."""
+        weighed, heavy = [self._transposed.copy() for _ in factors], self.weight * factors
+        for one, weight in zip(weighed, heavy, strict=True):
+            one.data *= weight[one.indices]
+            one.eliminate_zeros()
+        return scipy.sparse.csr_array(scipy.sparse.vstack(weighed))
 
     @cached_property
-    def _weighed(self) -> Callable[[Array], Array]:
+    def _weighed(self) -> scipy.sparse.csr_array:
         return self.weighed(np.ones((1, len(self.weight))))
 
     def rows(self, values: Array) -> Array:
         """Return (R, m) U' r v of (g, m) values v of the groups."""
-        return np.asarray(self._weighed(values)[0])
+        return np.asarray(self._weighed @ values)
 
     @cached_property
     def squared_lengths(self) -> Array:
         """(g,) sum of the squares of each row of U."""
-        of_shapes = self.shapes.multiply(self.shapes).sum(axis=1)
-        return np.asarray(of_shapes + np.sum(self.statics**2, axis=1))
+        return np.asarray(self.basis.multiply(self.basis).sum(axis=1)).ravel()
 
     def groups(self, rows: Array) -> Array:
         """Return (g, m) U y of the groups, from (R, m) rows y."""
-        of_shapes = self.shapes.shape[1]
-        values = np.asarray(self.shapes @ rows[:of_shapes])
-        values += self.statics @ rows[of_shapes:]
-        return values
+        return np.asarray(self.basis @ rows)
 
 
 def each_by_itself(weight: Array) -> Pooling:
     """Return a row for each group, none for those of weight 0."""
     counted = np.flatnonzero(weight)
     values = (1.0 / np.sqrt(weight[counted]), (counted, np.arange(counted.size)))
-    shapes = scipy.sparse.csr_array(values, shape=(weight.size, counted.size))
-    return Pooling(shapes, np.empty((weight.size, 0)), weight)
+    return Pooling(scipy.sparse.csr_array(values, shape=(weight.size, counted.size)), weight)
 
 
 def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) -> Pooling:
@@ -181,7 +167,8 @@ def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) 
     values, vectors = np.linalg.eigh(apart.T @ (weight[:, None] * apart))
     counted = values > 1e-9 * r.sum()  # but for rounding
     rest = apart @ (vectors[:, counted] / np.sqrt(values[counted]))
-    return Pooling(scipy.sparse.csr_array(of_shape / np.sqrt(total)), rest, weight)
+    parts = [of_shape / np.sqrt(total), scipy.sparse.csr_array(rest)]
+    return Pooling(scipy.sparse.hstack(parts, format="csr"), weight)
 
 
 @dataclass(frozen=True, eq=False)
