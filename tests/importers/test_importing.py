@@ -494,7 +494,7 @@ def test_the_command_says_what_it_found_and_alpha_is_right(tmp_path, inside):
     assert all(str(CASE.layout.id[b]) in out.split("do not fit")[1] for b in CASE.bad)
     assert "2026-01-02 03:04:05 (as specified)" in out
     assert f"truenewton calibrate {tmp_path / 'k.fits'}" in out
-    assert "alpha        calibrate finds it and its verdict" in out
+    assert "alpha        calibrate estimates it and states its verdict" in out
     np.testing.assert_array_equal(tn.read(tmp_path / "k.fits").stiffness, -CASE.k)
     code, _, error = inside(*command)
     assert code == 2
