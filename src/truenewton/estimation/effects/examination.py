@@ -123,7 +123,13 @@ def chi2_probability(chi2: float, freedom: float, noise: Noise) -> float:
 
 
 def misfit_findings(left: ExaminedFit) -> Iterator[Finding]:
-    """Yield the finding of a misfit, and the factor by which the errors were increased."""
+    """Yield the finding of a misfit, and the factor by which the errors were increased.
+
+    Coils whose gain depends on the displacement leave an imbalance that is even in the sign of the
+    shape. Without POSITION it cannot be removed, and other effects explain part of it.
+    """
+    if left.effects and left.moments.displacement is None:
+        yield Finding.of(Code.EFFECT_WITHOUT_POSITION)
     if left.fits:
         return
     if left.explained:

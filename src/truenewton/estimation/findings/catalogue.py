@@ -258,6 +258,16 @@ ENTRIES: dict[Code, Entry] = {
         " change of alpha by them",
         "find out which of them is real (docs/effects.md)",
     ),
+    Code.GLASS_NOT_MODELLED: _usable(
+        "sensors that average over an area were taken as points: alpha may be wrong by about"
+        " {model:percent}, and E_STAT, typically {error:percent}, does not include this",
+        "give --mirror, so that the glass is modelled, or use --method ml",
+    ),
+    Code.EFFECT_WITHOUT_POSITION: _doubtful(
+        "no cycle contains POSITION, so a gradient of the coils can be mistaken for the effects"
+        " that were found: alpha and its errors may be wrong",
+        "record what the sensors read as POSITION before you look for another cause",
+    ),
     Code.MISFIT_OF_SVD: _doubtful(
         "the imbalance of the shapes is {factor:.2g} times what their noise explains",
         "use method ml, which looks for effects of the bench",

@@ -103,6 +103,8 @@ class Code(StrEnum):
     ZEROS_RESET = "zeros-reset"
     MISFIT = "misfit"
     MISFIT_EXPLAINED = "misfit-explained"
+    GLASS_NOT_MODELLED = "glass-not-modelled"
+    EFFECT_WITHOUT_POSITION = "effect-without-position"
     MISFIT_OF_SVD = "misfit-of-svd"
     MISFIT_SENSELESS = "misfit-senseless"
     FIT_TOO_GOOD = "fit-too-good"

@@ -41,6 +41,9 @@ from truenewton.estimation.reciprocity.sensor_model import (
 from truenewton.progress import report_progress
 from truenewton.statics.layout import Layout
 
+# Error of alpha of simulated mirrors of 45 to 100 actuators if annular sensors are taken as points;
+# with 336 actuators it is 0.0007.
+POINT_SENSORS_ERROR = 0.003
 AT_MAGNETS_OFFSET = 5e-5  # rms offset [m] up to which the plate model is accurate enough
 
 
@@ -286,11 +289,15 @@ def fit_matrix(
         diagnosis=replace(base.diagnosis, warnings=tuple(said)),
         sensors=acceptance.sensors_of(joint, found.sensor_errors, ids, keep),
     )
+    stated = float(np.median(_relative_errors(estimate, n)[keep]))
+    if motion is None and stated < POINT_SENSORS_ERROR:
+        unmodelled = Finding.of(Code.GLASS_NOT_MODELLED, model=POINT_SENSORS_ERROR, error=stated)
+        estimate = estimate.with_warnings((unmodelled,))
     evidence = replace(
         found.evidence,
         odd=odd,
         transposed=transposed,
-        error=float(np.median(_relative_errors(estimate, n)[keep])),
+        error=stated,
         error_by_balance=of_balance,
     )
     return estimate, found.imbalances, tuple(acceptance.refusals(evidence))
