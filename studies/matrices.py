@@ -2,7 +2,7 @@
 
     [TRUENEWTON_REAL_DATA=FOLDER] python -m studies.matrices [--seeds 20] [--faults]
     python -m studies.matrices --mirror mmt336 --method auto [--seeds 20] [--faults]
-        [--first 0] [--laws proportional mixed] [--levels .1]
+        [--first 0] [--laws proportional mixed] [--levels .1] [--annular]
 
 The truth is that of a simulated mirror, or FOLDER/lbt672/lbt672-feedforward.fits made symmetric and
 balanced, divided by a known alpha that scatters by 5 %. Noise of .02, .05 and .1 %: in proportion
@@ -13,7 +13,7 @@ patterns (1 where the covariance C is that of the errors e), bad actuators misse
 out, seeds refused, and seeds that `auto` left to `ml`; of the others the rms error of the sensors'
 gains and places over the stated one; with --faults, the same with actuators that
 do not fit, .02 % of noise equal in all elements. --first begins with another seed, --laws and
---levels (%) take some noise only.
+--levels (%) take some noise only. --annular: a simulated truth stays as annular sensors read it.
 """
 
 import argparse
@@ -57,7 +57,8 @@ def measured_or_made(mirror):
     """Return the measured LBT672 where its folder is given, else a simulated mirror."""
     if mirror == "lbt672" and "TRUENEWTON_REAL_DATA" in os.environ:
         return measured_lbt672()
-    truth = static_bench(getattr(tn.mirrors, mirror)(), 1).truth
+    nominal = tn.mirrors.ring(60) if mirror == "ring60" else getattr(tn.mirrors, mirror)()
+    truth = static_bench(nominal, 1).truth
     date = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
     return StiffnessMatrix(mirror.upper(), date, truth.layout, truth.stiffness)
 
@@ -180,12 +181,13 @@ def main():
     parser.add_argument("--levels", nargs="+", type=float, default=[100 * each for each in LEVELS])
     parser.add_argument("--laws", nargs="+", choices=LAWS, default=LAWS)
     parser.add_argument("--faults", action="store_true")
-    parser.add_argument("--mirror", choices=("lbt672", "mmt336", "p45"), default="lbt672")
+    parser.add_argument("--annular", action="store_true")
+    parser.add_argument("--mirror", choices=("lbt672", "mmt336", "p45", "ring60"), default="lbt672")
     parser.add_argument("--method", choices=("ml", "auto"), default="ml")
     options = parser.parse_args()
     seeds = range(options.first, options.first + options.seeds)
     matrix = measured_or_made(options.mirror)
-    k = true_stiffness(matrix)
+    k = matrix.stiffness if options.annular else true_stiffness(matrix)
     print(
         f"{'':38} error  stated   covered      chi2  missed   lost  refused   ml"
         "   gain  place   (%, actuators, seeds)"

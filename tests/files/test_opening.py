@@ -202,7 +202,11 @@ SQUARE = [[[0, 0], [1, 0], [1, 1], [0, 1]]]
     [
         (lambda: layout(np.linspace(0, 1, 20001), np.zeros(20001)), GeometryError, "are 20001 act"),
         (lambda: check_mesh_size(list(map(np.array, SQUARE)), 1e-300), GeometryError, "mesh size"),
-        (lambda: off_and_slaved(layout([0.0, 0.1], [0.1, 0.0]), [10**30], ()), UnknownName, "ID 1"),
+        (
+            lambda: off_and_slaved(layout([0.0, 0.1], [0.1, 0.0]), [10**30], ()),
+            UnknownName,
+            "no actuator 1",
+        ),
         (lambda: Atmosphere(1e-320), FormatError, None),
         (lambda: Pupil(1e-320, 8.0), FormatError, None),
     ],

@@ -84,10 +84,12 @@ def ids(text: str | None, option: str) -> list[int | str]:
     return [int(word) if word.isdecimal() else word for word in words]
 
 
-def require_suffix(output: Path | None, suffixes: tuple[str, ...], what: str) -> None:
+def require_suffix(
+    output: Path | None, suffixes: tuple[str, ...], what: str, otherwise: str = ""
+) -> None:
     """Refuse the name of an output that has none of the suffixes."""
     if output is not None and not output.name.lower().endswith(suffixes):
-        remedy = f"use a name that ends in {suffixes[0]}"
+        remedy = f"use a name that ends in {suffixes[0]}{otherwise}"
         raise OutputFailed(f"is no name for a {what}", remedy=remedy, path=output)
 
 

@@ -265,7 +265,9 @@ def run_import(
     from truenewton.mirrors.file import mirror_from
     from truenewton.records.file import SUFFIXES, write_stiffness
 
-    options.require_suffix(output, SUFFIXES, "stiffness file")
+    options.require_suffix(
+        output, SUFFIXES, "stiffness file", "; a campaign is described by `import --example`"
+    )
     refuse_existing(output, overwrite=overwrite)
     by_file = ids is not None and Path(ids).is_file()
     with busy("importing"), _suggesting_mirror():

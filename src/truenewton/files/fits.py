@@ -92,8 +92,8 @@ def _check_start(stream: io.BytesIO | BufferedReader, path: str) -> None:
     if start != START:
         raise UnreadableFile(
             "is not a FITS file" + ("" if start else ", but empty"),
-            remedy="give FITS files; `truenewton import` makes one of a matrix, the recipe 'A"
-            " campaign in your own format' of docs/files.md those of a campaign"
+            remedy="give FITS files; `truenewton import` converts a matrix, and a campaign as"
+            " `truenewton import --example` describes it"
             if start
             else "fetch it again",
         )

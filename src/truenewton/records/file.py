@@ -299,7 +299,10 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
                     path=path,
                 )
         if not inside:
-            remedy = "give the folder of a campaign, whose files end in .fits, .fits.gz or .h5"
+            remedy = (
+                "give the folder of a campaign, whose files end in .fits, .fits.gz or .h5; to"
+                " convert your own files, see `truenewton import --example`"
+            )
             raise UnreadableFile("contains no FITS or HDF5 files", remedy=remedy, path=path)
         files += inside
     return list({os.path.realpath(p): p for p in files}.values())

@@ -42,7 +42,7 @@ from truenewton.progress import report_progress
 from truenewton.statics.layout import Layout
 
 # Error of alpha of simulated mirrors of 45 to 100 actuators if annular sensors are taken as points;
-# with 336 actuators it is 0.0007.
+# with 336 actuators it is 0.0012 (`python -m studies.matrices --annular`).
 POINT_SENSORS_ERROR = 0.003
 AT_MAGNETS_OFFSET = 5e-5  # rms offset [m] up to which the plate model is accurate enough
 
