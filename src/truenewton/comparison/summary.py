@@ -55,7 +55,8 @@ def figures(c: Comparison) -> Iterator[tuple[str, str, str]]:
     ):
         count = counted(int(changed.sum()), "actuator") if changed.any() else "none"
         error = percent(float(np.nanmedian(errors)))
-        others = f"scatter of the others {percent(scatter)} (noise removed), error of one {error}"
+        beyond = f"{percent(scatter)} beyond noise" if scatter else "within noise"
+        others = f"scatter of the others {beyond}, error of one {error}"
         yield f"{name} changed", count, others
     for actuator, sensor, size in c.couplings[:MAX_COUPLINGS]:
         where = f"actuator {actuator}, sensor {sensor}"

@@ -154,14 +154,19 @@ def of_segments(c: object) -> TypeIs[Parts[Calibration]]:
 def _on_comparison(c: Comparison | Parts[Comparison]) -> Headline:
     """Return the verdict on what changed between two matrices or campaigns."""
     found = by_number(c).values()
-    changed = np.concatenate([one.layout.id[one.changed] for one in found]).tolist()
+    changed = sum(int(one.changed.sum()) for one in found)
     compared = sum(int(one.layout.enabled.sum()) for one in found)
     couplings = sum(len(one.couplings) for one in found)
-    sentence, advice = f"None of {counted(compared, 'actuator')} changed.", tuple[Fault, ...]()
-    if changed:
-        sentence = f"{len(changed)} of {counted(compared, 'actuator')} changed."
-        remedy = "check their coils and sensors, and multiply the old alpha by the ratio"
-        advice = (Fault(f"changed: {named('actuator', changed, 8)}", remedy),)
+    sentence = f"{changed or 'None'} of {counted(compared, 'actuator')} changed."
+    advice = list[Fault]()
+    for what, remedy in (
+        ("alpha", "check coil and magnet, and multiply the old alpha by the ratio"),
+        ("sensor", "check the sensor; alpha remains valid"),
+    ):
+        ids = [one.layout.id[getattr(one, f"{what}_changed")] for one in found]
+        if some := np.concatenate(ids).tolist():
+            name = "alpha" if what == "alpha" else "sensor gain"
+            advice.append(Fault(f"{name} changed: {named('actuator', some, 8)}", remedy))
     if couplings:
         sentence += f" {counted(couplings, 'coupling')} changed without its row and column."
     numbers = tuple(islice(figures(c), 3)) if isinstance(c, Comparison) else ()
