@@ -8,6 +8,10 @@ from importlib.metadata import version as installed_version
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+# The kernels of the tutorials import how their data were simulated.
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(Path(__file__).parent / "tutorials"), os.environ.get("PYTHONPATH", "")]
+)
 
 project = "truenewton"
 author = "The truenewton developers"
@@ -32,7 +36,7 @@ nitpick_ignore_regex = [
     (
         "py:class",
         r"numpy\._typing\..*|astropy\.table\.table\..*|TypeAliasForwardRef|pd\.DataFrame"
-        r"|AnyCalibration|Data|Seen|Array|numpy.str_"
+        r"|AnyCalibration|Data|Seen|Surface|Array|numpy.str_"
         r"|(collections\.abc\.)?Mapping\[int|tuple\[(float|Cycle)",
     )
 ]

@@ -20,7 +20,7 @@ from pathlib import Path
 import truenewton as tn
 
 ROOT = Path(__file__).parent.parent
-SOURCE = ROOT / "src"
+SOURCE, TUTORIALS = ROOT / "src", ROOT / "docs" / "tutorials"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 FENCE = re.compile(r"^```(python|\{code-cell\}[^\n]*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SHELL = "%%bash"
@@ -72,7 +72,7 @@ def main() -> int:
             places.append(where)
         done = subprocess.run(
             [sys.executable, "-m", "mypy", "--config-file", "pyproject.toml", folder],
-            cwd=ROOT, env={**os.environ, "MYPYPATH": str(SOURCE)},
+            cwd=ROOT, env={**os.environ, "MYPYPATH": f"{SOURCE}{os.pathsep}{TUTORIALS}"},
             stdout=subprocess.PIPE, text=True, check=False,
         )  # fmt: skip
     print(re.sub(r"\S*example_(\d+)\.py", lambda m: places[int(m[1])], done.stdout), end="")
