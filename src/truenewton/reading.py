@@ -236,10 +236,21 @@ def read_alpha(path: AnyPath, *, segment: int | None = None) -> AnyCalibration:
 
 
 def read_compared(*paths: AnyPath, segment: int | None = None) -> tuple[Read, ...]:
-    """Read two calibrations, or two stiffness files; () if there are not two, or other data."""
-    files = [read_file(path) for path in paths if not Path(path).is_dir()]
-    if len(files) == len(paths) == 2 and any(
-        all(name in file.extensions for file in files) for name in ("CALIBRATION", "STIFFNESS")
-    ):
-        return tuple(read_chosen(path, segment=segment) for path in paths)
-    return ()
+    """Read two calibrations, or two states of a mirror; () if there are not two, or other data.
+
+    A state is a stiffness file or the folder of a campaign.
+    """
+    kinds = {_compared_kind(path) for path in paths}
+    if len(paths) != 2 or len(kinds) > 1 or kinds == {""}:
+        return ()
+    return tuple(read_chosen(path, segment=segment) for path in paths)
+
+
+def _compared_kind(path: AnyPath) -> str:
+    """Return 'state', 'calibration', or '' for a file of other data."""
+    if Path(path).is_dir():
+        return "state"
+    extensions = read_file(path).extensions
+    if "CALIBRATION" in extensions:
+        return "calibration"
+    return "state" if "STIFFNESS" in extensions else ""

@@ -245,3 +245,14 @@ def test_the_command_prints_and_writes(tmp_path, inside):
     assert inside("report", old, new, "-o", page)[1].startswith("Sound. 4 of 45 actuators changed.")
     shown = page.read_text(encoding="utf-8")
     assert "change of sensor gain" in shown
+
+
+def test_the_report_compares_two_folders_of_campaigns(tmp_path, inside):
+    folders = [tmp_path / "old", tmp_path / "new"]
+    for folder, campaign in zip(folders, campaigns(), strict=True):
+        tn.write_campaign(list(campaign), folder)
+    code, out, _ = inside("report", *folders, "-o", tmp_path / "changes.html")
+    assert code == 0
+    assert out.startswith("Sound. 3 of 45 actuators changed.")
+    assert "Alpha changed: actuators 4 and 8." in out
+    assert "Sensor gain changed: actuator 21." in out

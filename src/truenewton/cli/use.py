@@ -51,7 +51,7 @@ def run_report(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Write verdict, map, residuals and inputs on one page, or the change between two files."""
+    """Write verdict, map, residuals and inputs on one page, or the change between two states."""
     from truenewton.comparison.compare import compare
     from truenewton.reading import read_alpha, read_chosen, read_compared
     from truenewton.report.findings import investigate

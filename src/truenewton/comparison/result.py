@@ -163,8 +163,8 @@ def change_layers(c: AnyChange) -> tuple[Layer, ...]:
     for key, name in (("alpha", "alpha"), ("sensor", "sensor gain")):
         change, error = (100 * column(f"{key}_ratio{of}") for of in ("", "_error"))
         change = change - 100
-        # One large change shall not hide the others.
-        reach = float(np.nanpercentile(np.abs(change), 95.0)) or 1.0
+        # One large change shall not hide the others, and noise shall be pale.
+        reach = float(max(np.nanpercentile(np.abs(change), 95.0), 6.0 * np.nanmedian(error))) or 1.0
         meaning = f"New over old {name}, relative to the mean of those that did not change."
         layers.append(
             Layer(key, f"change of {name}", "%", change, meaning, error, centre=0.0, reach=reach)
