@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -183,9 +184,11 @@ def run_modes(
     if output is not None and not quiet:
         shown.append("  beside the modal base: stiffness (true, commanded), modes (ff_v_matrix),"
                      " feed-forward (ff_matrix, ff_matrix_true)")  # fmt: skip
+    files: Iterable[Path | None] = written or (None,)
+    if written and not quiet and (output is None or output in written):  # not of segments
+        files = filter(None, (output, figures))
     print_result(
-        shown, *(written if quiet else filter(None, (output, figures)) if written else (None,)),
-        details=detail_lines(found), values=values(found, limits),
+        shown, *files, details=detail_lines(found), values=values(found, limits),
         schema=schema_of("modes", found), json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip
 

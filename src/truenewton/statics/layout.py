@@ -128,7 +128,8 @@ class Layout:
 
     def _refuse_twice(self) -> None:
         """Refuse two actuators of one name, or at one place to the nanometre."""
-        for ids in (self.id, self.names):
+        # Names that repeat the IDs are not made here: each file of a campaign would keep them.
+        for ids in (self.id, self.names) if self.has_texts else (self.id,):
             values, count = np.unique(ids, return_counts=True)
             if (count > 1).any():
                 raise GeometryError(
