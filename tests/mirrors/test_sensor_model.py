@@ -20,6 +20,7 @@ from helpers.shells import (
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus
 from truenewton.mirrors.known import ring
+from truenewton.mirrors.sensor_model import sensor_model
 from truenewton.mirrors.shell.dynamics import moving_mass
 from truenewton.mirrors.shell.shell_model import model_shell, static_shapes
 from truenewton.statics.layout import layout
@@ -178,3 +179,9 @@ def test_a_sensor_over_the_force_of_another_is_refused():
 def test_annuli_that_cannot_be_are_refused(radii):
     with pytest.raises(GeometryError, match="a sensor from"):
         Annulus(*radii)
+
+
+def test_data_may_number_the_actuators_of_a_mirror_by_channel():
+    mirror = ring(24)
+    channels = replace(mirror.layout, id=np.arange(24))
+    assert np.array_equal(sensor_model(mirror, channels), sensor_model(mirror, mirror.layout))

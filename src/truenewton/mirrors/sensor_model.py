@@ -161,6 +161,8 @@ def _same_in(mirror: Mirror | SegmentedMirror, layout: Layout) -> Layout:
     if segmented:
         measured = np.isin(known.id, layout.id)
         known = known.part(measured) if measured.any() else known
+    elif known.n == layout.n:  # data may number them by channel: places decide
+        known = replace(known, id=layout.id)
     if apart := layout.other_actuators(known):
         part = layout.segment is not None and not segmented
         whole = "; of a segment, that of the whole" if part else ""
