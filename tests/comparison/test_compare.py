@@ -117,6 +117,23 @@ def test_glass_of_another_thickness_is_doubtful():
     assert [each.code for each in c.verdict.faults] == [Code.PAIR_GLASS]
 
 
+@pytest.mark.parametrize("seed", [91201, 91202, 91203])
+def test_another_unit_is_doubtful_and_a_repair_of_many_actuators_is_sound(seed):
+    random = np.random.default_rng(seed)
+    coils = random.uniform(0.95, 1.05, (2, 45))
+    repaired = np.ones(45)
+    five = random.choice(45, 5, replace=False)
+    repaired[five] += random.uniform(0.05, 0.2, 5) * random.choice([-1.0, 1.0], 5)
+    unit, repair = (
+        tn.compare(*pair(MATRIX, EXACT, seed, LAWS[seed % 5], changed=False, later=later)[:2])
+        for later in (EXACT * (coils[0] / coils[1])[:, None], EXACT * repaired[:, None])
+    )
+    assert unit.verdict.level is Level.DOUBTFUL
+    assert unit.verdict.faults[0].code is Code.PAIR_UNITS
+    assert repair.verdict.level is Level.SOUND
+    assert {*np.flatnonzero(repair.alpha_changed)} == {*five}
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

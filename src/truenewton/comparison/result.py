@@ -27,9 +27,12 @@ from truenewton.records.file import ID, INSTRUMENT, NZ, SUFFIXES, X, Y
 from truenewton.records.parts import Parts, body_or_parts_from
 from truenewton.records.result import KINDS, Result, ResultKind, verdict_of, write
 from truenewton.statics.layout import Layout
+from truenewton.tracking.days import OTHER_UNIT
 
 # Largest singular value of n x n noise over 2 sqrt(n): 0.9 to 1.05 if it is noise.
 MAX_PATTERN = 1.15
+# Errors of alpha, below which its scatter may be noise: a few patterns can dominate the noise.
+MAX_SCATTER = 3.0
 MAX_TAILS = 1.5  # excess kurtosis of the residual: at most 0.8 for the right noise law
 MAX_RESEMBLANCE = 4.0  # sigmas; at most 3 if alpha and gains changed independently
 MAX_EXCESS = 1.2  # rms residual relative to that of a repeat; days differ in noise by less
@@ -131,6 +134,8 @@ class Comparison(Result):
     def findings(self) -> tuple[Finding, ...]:
         """What limits the errors."""
         found = []
+        if self.alpha_scatter > max(OTHER_UNIT, MAX_SCATTER * np.nanmedian(self.alpha_ratio_error)):
+            found.append(Finding.of(Code.PAIR_UNITS, scatter=self.alpha_scatter))
         if self.pattern > MAX_PATTERN:
             rows = self.noise_law == RowNoise.name
             code = Code.PAIR_ROWS if rows else Code.PAIR_PATTERN

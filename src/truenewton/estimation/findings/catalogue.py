@@ -478,6 +478,12 @@ ENTRIES: dict[Code, Entry] = {
     Code.LAW_OF_REJECTED_DAY: _rejected(
         "the law uses {day}, whose calibration is rejected", "track the other days"
     ),
+    Code.PAIR_UNITS: _fact(
+        Level.DOUBTFUL,
+        "the changes of alpha scatter by {scatter:percent} over all actuators: the old and the new"
+        " data are probably not of the same mirror, or not of the same unit of it",
+        "check that both were measured on the same unit of the mirror",
+    ),
     Code.PAIR_PATTERN: _fact(
         Level.DOUBTFUL,
         "the change is not only factors of actuators and sensors: the largest other pattern is"

@@ -164,6 +164,7 @@ class Code(StrEnum):
     RECALIBRATION_LIMIT = "recalibration-limit"
     LAW_OF_REJECTED_DAY = "law-of-rejected-day"
     # Two matrices compared.
+    PAIR_UNITS = "pair-units"
     PAIR_PATTERN = "pair-pattern"
     PAIR_ROWS = "pair-rows"
     PAIR_NOISE = "pair-noise"
