@@ -218,13 +218,17 @@ def spurious_information(
     mean I^-1, and errors of alpha the covariance I^-1 (I + D) I^-1, where L, (m, 3, 3), is what the
     fit leaves of the variance of each column.
     """
-    m, n = len(root), len(alpha)
+    n = len(alpha)
     white = np.linalg.inv(root) @ c.a
     noisy = white * (variance * alpha[:, None]).T[:, None, :]
     some = white if left is None else np.linalg.cholesky(left).transpose(0, 2, 1) @ white
     out = np.diag(np.einsum("mki,mki,mi->i", some, some, variance.T))
     for k in range(3):
-        cross = (some[:, k : k + 1] * noisy).reshape(3 * m, n)
+        cross = some[:, k : k + 1] * noisy
+        if left is None:  # symmetric in both equations
+            cross = cross[:, k:]
+            cross[:, 1:] *= np.sqrt(2.0)
+        cross = cross.reshape(-1, n)
         out -= cross.T @ cross
     return np.asarray(out)
 
@@ -362,8 +366,6 @@ def _alternate(
         distance = np.sum(terms.residual**2, axis=1) / weight
         roots = np.log(np.diagonal(terms.root, axis1=1, axis2=2)).sum() + 1.5 * np.log(weight).sum()
         cost = float(roots) + noise.cost(distance) - 0.5 * float(np.linalg.slogdet(inverse)[1])
-        left = left_of_columns(terms, inverse, feigned)
-        noise, weight = _noise(c, alpha, terms, left)
         if np.isfinite(spread):
             log = np.log(positive(alpha))
             cost += 0.5 * float(log @ prior @ log) + (n - smooth.shape[1]) * float(np.log(spread))
@@ -371,6 +373,7 @@ def _alternate(
             spread = max(found, spread / 3.0)  # the noise is not known yet
         if cost > worst:
             break
+        noise, weight = _noise(c, alpha, terms, left_of_columns(terms, inverse, feigned))
         if (
             known
             and _same(noise, before)

@@ -31,7 +31,7 @@ from truenewton.estimation.likelihood import DataSet, Minimum, Prior, minimise
 from truenewton.estimation.problem import Problem, load_data, problem_of, with_share_in_balance
 from truenewton.estimation.readings.moments import Moments, chosen_groups, reading_noise, shape_sums
 from truenewton.estimation.reciprocity import acceptance
-from truenewton.estimation.reciprocity.iteration import Fit, fit
+from truenewton.estimation.reciprocity.iteration import Fit, fit, in_double
 from truenewton.estimation.reciprocity.regression import (
     MAX_SINGLE_STATES,
     Regressed,
@@ -103,7 +103,7 @@ def _found(
     # Near enough for the quietest readings: alpha of `ml`, about mean 1.
     log_alpha = np.log(np.maximum(base.values[: len(keep)][keep], MIN_START_ALPHA))
     start = replace(at_nominal(places.n), log_alpha=log_alpha - log_alpha.mean())
-    fitted = fit(places, START_REQUEST, stiffness.states, start=start)
+    fitted = in_double(fit(places, START_REQUEST, stiffness.states, start=start))
     goodness = _goodness(fitted, stiffness)
     excess = goodness.reduced if goodness.probability < LIMITS.fit_probability else 1.0
     force = moments.sums.force.sum(axis=1) / moments.sums.weight

@@ -104,9 +104,8 @@ def fit(
 
     ``states_at`` gives states and weights, ``start`` the first values (nominal by default), and
     ``told`` is called with the leverages after each step. ``fixed``: weights and spreads are fixed,
-    and a factor is reused while steps become shorter. Steps are in single precision: the score
-    determines where they end. The final covariance is in double precision, unless weights are
-    fixed.
+    and a factor is reused while steps become shorter. Steps, and the covariance, are in single
+    precision: the score determines where they end.
 
     Raises
     ------
@@ -136,9 +135,6 @@ def fit(
         move = move * min(1.0, 0.3 / max(float(np.abs(logs).max()), 1e-300))
         values = asked.moved(values, move)
         if settled:
-            if single and not fixed:
-                before, covariance = None, np.empty(0)  # their memory is needed
-                covariance, _ = _covariance(point, asked, known, single=False)
             return _fit(values, asked, covariance, point, leverage)
         if asked.estimated:
             found = _with_spreads(asked, values, covariance)
@@ -147,6 +143,16 @@ def fit(
         f"reciprocity has not settled after {MAX_STEPS} steps",
         remedy="check gains and positions of the sensors",
     )
+
+
+@threads(1)
+def in_double(fitted: Fit) -> Fit:
+    """Return a fit with its covariance in double precision. Raises RankDeficient."""
+    if fitted.covariance.dtype == np.float64:
+        return fitted
+    known = fitted.asked.information(len(fitted.values.log_alpha))
+    covariance, _ = _covariance(fitted.point, fitted.asked, known, single=False)
+    return replace(fitted, covariance=covariance)
 
 
 def _covariance(

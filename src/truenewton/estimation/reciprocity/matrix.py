@@ -20,7 +20,7 @@ from truenewton.estimation.matrix.order import balance_effects
 from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.estimation.reciprocity import acceptance
 from truenewton.estimation.reciprocity.information import States, Weights
-from truenewton.estimation.reciprocity.iteration import Fit, fit
+from truenewton.estimation.reciprocity.iteration import Fit, fit, in_double
 from truenewton.estimation.reciprocity.noise import (
     BinnedNoise,
     MatrixNoise,
@@ -130,7 +130,10 @@ class JointFit:
 
 
 def fit_jointly(modes: Modes) -> JointFit:
-    """Fit all modes by balance and reciprocity. Raises RankDeficient, NotConverged."""
+    """Fit all modes by balance and reciprocity, with a covariance in single precision.
+
+    Raises RankDeficient, NotConverged.
+    """
     report_progress("reciprocity", 0.02)
     joint = modes.fit(START_REQUEST)
     report_progress("reciprocity, the noise", 0.5)
@@ -144,7 +147,8 @@ def examined(modes: Modes, fitted: JointFit) -> MatrixEvidence:
     Noise and scatter of the sensors are those of the fit to all, except by balance alone.
     Raises RankDeficient, NotConverged.
     """
-    joint, noise = fitted.fit, fitted.noise
+    joint, noise = in_double(fitted.fit), fitted.noise
+    covariance, of_sensors = stated_errors(joint, noise)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS_OFFSET
     report_progress("reciprocity, of halves of the modes", 0.65)
     again, weights = replace(joint.asked, estimated=False), joint.point.weights
@@ -173,7 +177,6 @@ def examined(modes: Modes, fitted: JointFit) -> MatrixEvidence:
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
-    covariance, of_sensors = fitted.covariance, dict(fitted.sensor_errors)
     excess = max(excess, unequal)
     if doubtful or excess > 1.0:
         # Model errors are no smaller in the fit to all modes than in one half.
@@ -196,7 +199,7 @@ def _against_balance(
     noise. ``of_halves`` is the disagreement of the halves.
     """
     alone = [  # alpha only: the balance knows nothing of sensors
-        each.fit(Request(), balance=True, start=joint.values)
+        in_double(each.fit(Request(), balance=True, start=joint.values))
         for each in (modes, modes.every(EVEN_MODES), modes.every(ODD_MODES))
     ]
     by_balance = _held_out(modes.imbalances(*alone))
