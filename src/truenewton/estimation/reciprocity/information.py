@@ -18,6 +18,7 @@ likelihood from which the unknown stiffness is eliminated, and noise is not mult
 
 from __future__ import annotations
 
+import functools
 import itertools
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -52,6 +53,12 @@ class States:
     def count(self) -> int:
         """Number of states."""
         return int(self.readings.shape[1])
+
+    @functools.cached_property
+    def residuals(self) -> Residuals:
+        """The residuals of the equations."""
+        w = self.displacements
+        return Residuals(self.rigid.T @ self.forces, w.T @ self.rigid_forces, w.T @ self.forces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,12 +131,6 @@ class Residuals:
             float(np.sum(weights.rigid * self.rigid**2)),
             float(0.5 * np.sum(pairs)),
         )
-
-
-def residuals(states: States) -> Residuals:
-    """Return the residuals of the states."""
-    w = states.displacements
-    return Residuals(states.rigid.T @ states.forces, w.T @ states.rigid_forces, w.T @ states.forces)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ from truenewton.estimation.reciprocity.information import (
     designs,
     information,
     likeliest,
-    residuals,
     score,
 )
 from truenewton.estimation.reciprocity.sensor_model import (
@@ -84,10 +83,9 @@ def point_at(places: Places, values: Values, asked: Request, states_at: StatesAt
     """Return everything at given values of the unknowns."""
     seen = sensors_at(places, values, slopes=bool(asked.offset_spread))
     states, weights = states_at(places, values, seen)
-    left = residuals(states)
-    fitted = likeliest(states, left, weights)
+    fitted = likeliest(states, states.residuals, weights)
     made = designs(asked.kinds, values, seen, states, fitted, places.length)
-    return Point(states, left, weights, fitted, made)
+    return Point(states, states.residuals, weights, fitted, made)
 
 
 @threads(1)

@@ -41,7 +41,6 @@ from truenewton.estimation.reciprocity.information import (
     Weights,
     equal_bins,
     in_single,
-    residuals,
     score,
     to_single,
 )
@@ -117,7 +116,7 @@ class BinnedNoise:
 
     def weights(self, states: States) -> Weights:
         """Return weights from the residuals and from the leverages of the last fit."""
-        left = residuals(states)
+        left = states.residuals
         bins = equal_bins(states.count, min(12, states.count // 8))
         sizes = np.array([some.stop - some.start for some in bins])
         starts = [some.start for some in bins]

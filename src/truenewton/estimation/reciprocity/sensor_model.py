@@ -209,7 +209,7 @@ def sensors_at(places: Places, values: Values, *, slopes: bool) -> SensorModel:
     rows[2, :, :n], rows[2, :, n + 2] = dy / unit, 1.0 / unit
     solved = lu_solve(lu_factor(system, check_finite=False), rows.reshape(3 * n, -1).T, trans=1)
     across = solved.T.reshape(3, n, n + 3)[:, :, :n]
-    return SensorModel(motion @ across[0], across[1:])
+    return SensorModel(across[0] if places.motion is None else motion @ across[0], across[1:])
 
 
 def motion_from(places: Places, offset: Array) -> Array:
