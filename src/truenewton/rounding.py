@@ -118,7 +118,7 @@ def wrapped(lines: Iterable[str], width: int = WIDTH) -> Iterator[str]:
         columns = [gap.end() for gap in re.finditer(r"^ *|  +", line) if gap.end() < 0.6 * width]
         indent = " " * (columns[-1] if len(columns) > 1 else columns[0] + 2)
         parts = textwrap.wrap(
-            line.replace(" %", "\xa0%"),
+            re.sub(r" (?=[%±])|(?<=±) ", "\xa0", line),
             width,
             subsequent_indent=indent,
             break_long_words=False,

@@ -382,7 +382,7 @@ def test_what_is_said_of_several_segments_is_said_once(data):
             for k, one in made.found.items()}  # fmt: skip
     [one] = [each for each in replace(made, found=same).verdict.faults
              if each.cause.code is tn.Code.SCALE_BY_WEIGHTS]  # fmt: skip
-    assert one.fault.startswith("segments 1 to 3: the common scale is known to 30 %")
+    assert one.fault.startswith("segments 1 to 3: the uncertainty of the common scale is 30 %")
     assert one.fault.endswith("(numbers of segment 1)")
     refused = {k: (Fault(f"actuator {k} is dead", "do"),) for k in (1, 2)}
     other = replace(made, found={3: made.found[3]}, failed=refused)

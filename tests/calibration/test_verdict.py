@@ -120,7 +120,7 @@ def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp
 
 
 def test_python_warns_of_what_is_not_to_be_used_and_refuses_to_go_on(tmp_path):
-    with pytest.warns(TrueNewtonWarning, match="rejected: found: copy of another"):
+    with pytest.warns(TrueNewtonWarning, match="rejected: Found: copy of another"):
         bad = tn.calibrate(Campaign(copied()))
     bad.write(tmp_path / "alpha.fits")
     with pytest.warns(TrueNewtonWarning, match="rejected"):
@@ -179,7 +179,7 @@ def with_held_out(c, before, after):
          "rejected", "so the common scale is not determined"),
         (lambda c: replace(c, statistical_error=6.6 * c.alpha), "rejected", "distinguished from 0"),
         (lambda c: replace(c, systematic_error=0.5 * c.alpha, scale_errors=()), "usable",
-         "is known to 50 %"),
+         "of the common scale is 50 %"),
         (lambda c: replace(c, systematic_error=0.0 * c.alpha), "usable", "without errors"),
         (lambda c: replace(c, rejected=100), "doubtful", "of the rows do not fit"),
         (lambda c: with_held_out(c, 0.05, 0.03), "doubtful", "held-out modes"),

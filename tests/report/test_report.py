@@ -39,8 +39,9 @@ Usable. Alpha of all 14 actuators of TEST is known, typically to 1.7 %. Alpha ca
 alpha: 0.734 .. 1.021 (true N / commanded N; actuators 1 and 3)
 typical error of alpha: 1.7 % (E_ALPHA, one sigma)
 common scale: 1.7 % (E_SYST, from the weights)
-- The common scale is known to 1.7 %, nearly all of it from the weight of 'ring A'. Weigh it to\
- 0.5 mN, and the scale error falls to 0.17 %; a 60 degree tilt known to 0.1 degree gives 0.35 %.""",
+- The uncertainty of the common scale is 1.7 %, and nearly all of it comes from the weight of\
+ 'ring A'. If you weigh 'ring A' to 0.5 mN, the scale error falls to 0.17 %. If you use a tilt of\
+ 60 ± 0.1 degrees as the load, the scale error is 0.35 %.""",
     "with_outliers": """\
 Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. Alpha can be used within\
  the limits below.

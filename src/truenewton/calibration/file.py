@@ -12,7 +12,6 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import ACTUATORS, CALIBRATION, AnyCalibration, Calibration
-from truenewton.calibration.summary import as_sentences
 from truenewton.errors import FormatError, OutputExists, OutputFailed
 from truenewton.estimation.findings.catalogue import REPEATED, read_name, read_warning
 from truenewton.estimation.findings.code import Code, Level
@@ -24,7 +23,7 @@ from truenewton.estimation.findings.estimate import (
     NoiseSource,
     ScaleError,
 )
-from truenewton.estimation.findings.finding import Finding, from_stored
+from truenewton.estimation.findings.finding import Finding, as_sentences, from_stored
 from truenewton.estimation.matrix.facts import Symmetry
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.content import FitsFile

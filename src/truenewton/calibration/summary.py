@@ -21,7 +21,7 @@ from truenewton.estimation.findings.estimate import (
     scale_budget,
     typical,
 )
-from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
+from truenewton.estimation.findings.finding import Finding, Verdict, as_sentences, no_alpha
 from truenewton.files.format import attributes
 from truenewton.files.values import Columns, Values
 from truenewton.records.campaign import Campaign
@@ -90,12 +90,6 @@ def warning_lines(findings: Iterable[Finding | Fault]) -> Iterator[str]:
         if each.remedy and each.remedy not in remedies:
             yield f"  advice: {as_sentences(Fault('', each.remedy))}"
         remedies.add(each.remedy)
-
-
-def as_sentences(said: Finding | Fault) -> str:
-    """Return a fault and its remedy as sentences."""
-    both = filter(None, (said.fault, said.remedy))
-    return " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in both)
 
 
 def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:

@@ -24,6 +24,7 @@ from truenewton.estimation.findings.estimate import (
     ErrorKind,
     RejectedRow,
     Scale,
+    added_source,
     scale_total,
     tilt_as_load,
     typical,
@@ -369,21 +370,25 @@ def scale_limit(c: Calibration) -> Finding | None:
         return None
     total, largest = scale_total(c.scale_errors), c.scale_errors[0]
     share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
-    remedies = []
-    heaviest = max(c.loads, key=lambda load: load.added_error)
-    if largest.source.kind in WEIGHED and heaviest.added_error:
+    remedy = ""
+    weighed = [load.added_error for load in c.loads if added_source(load) == largest.source]
+    if largest.source.kind in WEIGHED and (error := max(weighed, default=c.weight_error)) > 0.0:
         better = np.sqrt(total**2 - 0.99 * largest.relative**2)
-        finer = 1e3 * heaviest.added_error / 10
-        remedies.append(
-            f"weigh it to {finer:.2g} mN, and the scale error falls to {percent(better)}"
+        what = f"'{largest.source.name}'" if weighed else "the mirror"
+        remedy = (
+            f"if you weigh {what} to {100 * error:.2g} mN, the scale error falls to"
+            f" {percent(better)}"
         )
     if not any(load.tilt for load in c.loads):
         tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
         if tilted < total:
-            remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
+            remedy += (
+                f"{'. If' if remedy else 'if'} you use a tilt of 60 ± 0.1 degrees as the load, the"
+                f" scale error is {percent(tilted)}"
+            )
     return Finding.of(
         Code.SCALE_BY_WEIGHTS,
         error=total,
-        share=f", {share} from the {largest.source}",
-        remedy="; ".join(remedies),
+        share=f", and {share} comes from the {largest.source}",
+        remedy=remedy,
     )

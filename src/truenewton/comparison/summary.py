@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.summary import as_sentences, verdict_lines
+from truenewton.calibration.summary import verdict_lines
 from truenewton.comparison.calibrations import CHANGE, Change
 from truenewton.comparison.pairing import Matching
 from truenewton.comparison.result import CHANGES, Comparison
+from truenewton.estimation.findings.finding import as_sentences
 from truenewton.files.values import Columns, Values
 from truenewton.records.parts import Parts, fault_values, has_parts
 from truenewton.records.result import Summary, summary_of

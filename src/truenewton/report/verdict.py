@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.summary import MEANINGS, as_sentences, summary_rows
+from truenewton.calibration.summary import MEANINGS, summary_rows
 from truenewton.calibration.verdict import without_unusable
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.result import AnyChange, Comparison
@@ -18,7 +18,7 @@ from truenewton.comparison.summary import figures
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale, typical
-from truenewton.estimation.findings.finding import Finding, Verdict, no_alpha
+from truenewton.estimation.findings.finding import Finding, Verdict, as_sentences, no_alpha
 from truenewton.records.cycle import Source
 from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.report.findings import Findings

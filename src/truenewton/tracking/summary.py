@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.summary import as_sentences
 from truenewton.errors import Fault
+from truenewton.estimation.findings.finding import as_sentences
 from truenewton.files.values import Columns, Values
 from truenewton.records.parts import Parts, by_number, fault_values, has_parts
 from truenewton.records.result import Summary, summary_of

@@ -227,7 +227,7 @@ ENTRIES: dict[Code, Entry] = {
         " N, E_TILT in degrees)",
     ),
     Code.SCALE_BY_WEIGHTS: _usable(
-        "the common scale is known to {error:percent}{share}",
+        "the uncertainty of the common scale is {error:percent}{share}",
         "weigh more accurately; more cycles do not help",
     ),
     Code.ALPHA_FAR_FROM_ONE: _rejected(

@@ -232,6 +232,12 @@ def from_stored(code: str, remedy: str, parts: Mapping[str, Any]) -> Finding:
     return finding
 
 
+def as_sentences(said: Finding | Fault) -> str:
+    """Return a fault and its remedy as sentences."""
+    both = filter(None, (said.fault, said.remedy))
+    return " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in both)
+
+
 def distinct(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return each finding once, in their order, with the level of the first."""
     kept: list[Finding] = []
@@ -272,8 +278,7 @@ class Verdict:
         if not self.faults:
             return str(self.level)
         more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
-        first = self.faults[0]
-        return f"{self.level}: {'; '.join(filter(None, (first.fault, first.remedy)))}{more}"
+        return f"{self.level}: {as_sentences(self.faults[0])}{more}"
 
     @property
     def faults(self) -> tuple[Finding, ...]:

@@ -23,16 +23,12 @@ from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.summary import (
-    as_sentences,
-    headline,
-    rejected_values,
-    summary_rows,
-)
+from truenewton.calibration.summary import headline, rejected_values, summary_rows
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.result import Comparison
 from truenewton.comparison.summary import UNDETECTABLE, changed_actuators, figures
 from truenewton.estimation.findings.estimate import Scale, scale_budget, typical
+from truenewton.estimation.findings.finding import as_sentences
 from truenewton.figures.layers import Layer
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
