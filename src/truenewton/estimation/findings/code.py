@@ -236,7 +236,7 @@ class Thresholds:
     """Thresholds of the levels of a result (docs/verdict.md prints them)."""
 
     fit_probability: float = _at(
-        1e-3, Level.DOUBTFUL, "probability of a misfit as large by chance, below"
+        1e-3, Level.DOUBTFUL, "probability that chance alone gives a misfit this large, below"
     )
     rejected_fraction: float = _at(0.1, Level.DOUBTFUL, "fraction of rows that do not fit, above")
     # E_STAT grows with the root of chi2/DOF, as if what is left were noise. A hundred times the
@@ -244,33 +244,41 @@ class Thresholds:
     reduced_chi2: float = _at(1e4, Level.REJECTED, "chi2/DOF, above")
     relative_error: float = _at(1 / 3, Level.REJECTED, "typical E_STAT / alpha, above")
     bad_fraction: float = _at(
-        0.03, Level.REJECTED, "fraction of dead or negative actuators (more than two), above"
+        0.03,
+        Level.REJECTED,
+        "fraction of actuators (more than two) that are dead or have negative alpha, above",
     )
     lowest_alpha: float = _at(0.5, Level.REJECTED, "median alpha under known weights, below")
     highest_alpha: float = _at(2.0, Level.REJECTED, "median alpha under known weights, above")
     load_gain: float = _at(
-        2.0, Level.DOUBTFUL, "half of a gain that differs between loads / E_ALPHA, above"
+        2.0, Level.DOUBTFUL, "half of the gain difference between loads / E_ALPHA, above"
     )
-    svd_bias: float = _at(1.0, Level.DOUBTFUL, "bias of svd / its E_STAT, above")
+    svd_bias: float = _at(1.0, Level.DOUBTFUL, "bias of method svd / E_STAT, above")
     held_out_ratio: float = _at(
-        2.5, Level.DOUBTFUL, "imbalance of held-out modes / fitted modes, above"
+        2.5, Level.DOUBTFUL, "imbalance of held-out modes / that of fitted modes, above"
     )
     misfit_fraction: float = _at(
         0.1,
         Level.DOUBTFUL,
-        "fraction of actuators of a matrix that do not fit (more than three), above",
+        "fraction of actuators (more than three) that do not fit a matrix, above",
     )
     asymmetry_ratio: float = _at(
-        0.95, Level.DOUBTFUL, "asymmetry with alpha / without (if over 0.5 %), above"
+        0.95,
+        Level.DOUBTFUL,
+        "asymmetry of a matrix with alpha / without alpha (if over 0.5 %), above",
     )
     negative_edges: float = _at(
-        1.5, Level.DOUBTFUL, "negative elastic mode / largest that noise makes, above"
+        1.5,
+        Level.DOUBTFUL,
+        "most negative elastic mode / largest value that noise alone produces, above",
     )
     pattern_share: float = _at(
-        0.4, Level.DOUBTFUL, "share of one mistake in the column imbalance, above (with next row)"
+        0.4,
+        Level.DOUBTFUL,
+        "share of the column imbalance that one mistake explains, above (with next row)",
     )
     pattern_shift: float = _at(
-        0.9, Level.DOUBTFUL, "change of alpha by this mistake / error of alpha, above"
+        0.9, Level.DOUBTFUL, "change of alpha caused by this mistake / error of alpha, above"
     )
     gain_correlation: float = _at(
         0.3, Level.DOUBTFUL, "correlation of sensor gains with alpha, above (with next row)"
@@ -279,9 +287,11 @@ class Thresholds:
     gradient_sigmas: float = _at(
         7.0, Level.DOUBTFUL, "gradient of the sensor gains across the mirror in sigma, above"
     )
-    column_noise: float = _at(60.0, Level.USABLE, "squared imbalance of a column / median, above")
+    column_noise: float = _at(
+        60.0, Level.USABLE, "squared imbalance of a column / median of all columns, above"
+    )
     outlier_spreads: float = _at(
-        5.0, Level.USABLE, "deviation of alpha from the others in robust sigma, above"
+        5.0, Level.USABLE, "deviation of alpha from the other actuators in robust sigma, above"
     )
     scale_share: float = _at(2.0, Level.USABLE, "E_SYST / E_STAT, above")
 
