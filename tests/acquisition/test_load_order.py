@@ -92,7 +92,7 @@ def test_turns_that_cannot_be_are_refused():
     for turns, said in ((4, "turns is 4; give 0 to 3"), (-1, "give 0 to 3")):
         with pytest.raises(FormatError, match=said):
             replace(PLAN, turns=turns)
-    with pytest.raises(FormatError, match="turns is 3; give no more turns than cycles"):
+    with pytest.raises(FormatError, match="turns is 3; use no more turns than cycles"):
         replace(PLAN, cycles=2, turns=3)
     with pytest.raises(FormatError, match=r"drift\.zero is -1; give zero or more"):
         replace(PLAN, drift=AssumedDrift(zero=-1))
@@ -272,12 +272,12 @@ def test_the_plan_says_what_each_order_costs_and_a_third_load(inside, tmp_path):
     for words in (
         "order of the loads      bare 1, ring 1-3, bare 2-4, ring 4",
         "'ring' after 30 min, 'bare' after 61 min, 'ring' after 92 min",
-        "(drift in an hour: alpha 0.30 %, zeros 10 uN; mounting: 10 uN)",
-        "one after the other 0.70 %",
+        "(drift per hour: alpha 0.30 %, zeros 10 uN; mounting: 10 uN)",
+        "time 1 0.70 %",
         "92 min planned",
-        "turns = 3. Scale error, drift included: 1.7 % with 2 more mountings (60 min), 1.9 % with",
-        "from 1.7 % to 1.2 %, and detects an error of 21 mN in 'ring',",
-        "91 min more 3 load changes; detects 7.4 % of the scale",
+        "scale error, drift included: 1.7 % with turns = 3 (2 more load changes, 60 min), 1.9 %",
+        "from 1.7 % to 1.2 %. An error of 21 mN in 'ring' can then be detected.",
+        "91 min more 3 load changes; detects a 7.4 % scale error",
     ):
         assert " ".join(words.split()) in " ".join(out.split())
     values = json.loads(inside("plan", path, "--json")[1])
@@ -290,9 +290,9 @@ def test_the_plan_says_what_each_order_costs_and_a_third_load(inside, tmp_path):
     old = template().replace("turns = 0 ", "# turns = 0 ", 1)
     path.write_text(old, encoding="utf-8")
     out = inside("plan", path, "--verbose")[1]
-    for words in ("bare 1-4, ring 1-4", "32 min  planned", "recommended: turns = 3"):
+    for words in ("bare 1-4, ring 1-4", "32 min  planned", "advice: Use turns = 3"):
         assert words in out
     path.write_text(old.partition('[[loads]]\nname = "ring"')[0], encoding="utf-8")
     out = inside("plan", path)[1]  # of one load
     assert "A third load" not in out
-    assert "recommended" not in out
+    assert "more load changes" not in out

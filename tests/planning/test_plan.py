@@ -250,7 +250,7 @@ def test_every_way_that_reaches_the_target_does_when_planned_anew(ready):
     target = 0.025
     assert predict_errors(loud).typical > target
     changes = {change.what: change for change in suggest_changes(loud, target)}
-    assert set(changes) == {"cycles", "added weight", "balance", "tilt", "shapes"}
+    assert set(changes) == {"cycles", "added weight", "weighing", "tilt", "shapes"}
     reached = [change for change in changes.values() if change.reached]
     assert {change.what for change in reached} >= {"cycles", "shapes"}
     for change in reached:
@@ -261,14 +261,14 @@ def test_every_way_that_reaches_the_target_does_when_planned_anew(ready):
     more = changes["cycles"].plan
     fewer = replace(more, cycles=more.cycles - 1)
     assert predict_errors(loud.changed(fewer)).typical > target
-    assert not changes["balance"].reached
-    assert changes["balance"].error > target
+    assert not changes["weighing"].reached
+    assert changes["weighing"].error > target
 
 
-def test_of_weights_the_balance_or_a_tilt_help_and_cycles_do_not(ready):
+def test_weighing_or_a_tilt_help_and_cycles_do_not(ready):
     changes = {change.what: change for change in suggest_changes(ready, 0.005)}
-    assert [name for name, change in changes.items() if change.reached] == ["balance", "tilt"]
-    known = changes["balance"].plan.loads[1].added_error
+    assert [name for name, change in changes.items() if change.reached] == ["weighing", "tilt"]
+    known = changes["weighing"].plan.loads[1].added_error
     assert 0.9 < known / (0.005 * 0.289) <= 1.0
     assert changes["cycles"].error == pytest.approx(0.005 / 0.289, rel=1e-3)
     # The heaviest weight is what the limit of force allows.
@@ -376,14 +376,14 @@ def test_the_template_is_a_plan_that_predicts(inside, tmp_path, file):
         "P45, predicted: 45 actuators, 4 cycles of 45 shapes and their negatives under 2 loads",
         "typical error of alpha  1.7 %",
         "weight of 'ring' 1.7 %",
-        "720 readings, 3 load changes of 30 min",
+        "720 rows, 3 load changes of 30 min",
         "smallest gap            67 um",
         "limit 0.6 N",
     ):
         assert words in out
     assert "warning: " not in out
     assert "smallest stroke" not in out
-    assert "there and back 0 % 0 % 0.17 %" in " ".join(out.split())
+    assert " 2 0 % 0 % 0.17 %" in " ".join(out.split())
 
 
 def test_shapes_that_drown_in_the_noise_of_sensors_are_foretold(ready):
@@ -393,7 +393,7 @@ def test_shapes_that_drown_in_the_noise_of_sensors_are_foretold(ready):
         sensors = replace(PLAN.sensors, noise=border / 60)  # six times that are a tenth of it
         said = "\n".join(lines(predict_prepared(ready.changed(replace(PLAN, sensors=sensors)))))
         small = np.count_nonzero(strokes < border)
-        assert (f"for faults in {small} of 45 shapes" in said) == (small > 0)
+        assert (f"as a fault in {small} of 45 shapes" in said) == (small > 0)
         assert (f"{1e9 * strokes.min():.3g} nm" in said) == (small > 0)
 
 
@@ -421,8 +421,8 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
 def test_for_a_target_it_says_what_to_change(inside, file):
     out = inside("plan", file, "--target", "0.005")[1]
     assert "to reach 0.50 %, change one of these:" in out
-    assert re.search(r"balance +'ring' known to 1\.\d+ mN: 0\.\d+ %, 92 min", out)
-    known = r"its coils to 5 um: 0\.\d+ %, 3\.1 h"
+    assert re.search(r"weighing +'ring' ± 1\.\d+ mN: 0\.\d+ %, 92 min", out)
+    known = r"coil displacement ± 5 um: 0\.\d+ %, 3\.1 h"
     assert re.search(rf"tilt +a load tilted by \d+ ± 0\.1 deg, {known}", out)
     assert "999 cycles: 1.7 %, not sufficient" in out
     assert "the plan reaches 2.0 %" in inside("plan", file, "--target", "0.02")[1]
@@ -464,9 +464,9 @@ def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
         ("stroke = 1e-6", "stroke = 6e-6", "shapes.stroke is 6e-06, beyond its limit of 5e-06"),
         ("force = 0.3", "force = 0.59", "N under load 'ring', beyond its limit of 0.6; plan"),
         ("gap = 30e-6", "gap = 67.5e-6", "gap closes to 6.7e-05 m, beyond its limit of 6.75e-05"),
-        ("[-10.0, 40.0]", "[40.0, -10.0]", "limits.temperature is [40.0, -10.0]; lowest first"),
+        ("[-10.0, 40.0]", "[40.0, -10.0]", "limits.temperature is [40.0, -10.0]; put the lowest"),
         ('source = "modes"', 'source = "no.fits"', "no.fits: "),
-        ('name = "ring"', 'name = "Bare"', "give every load once, with a name of its own"),
+        ('name = "ring"', 'name = "Bare"', "list each load once, with its own name"),
         ('name = "ring"', 'name = " "', "load ' ': LOAD is blank; name the load"),
         ('name = "ring"', 'name = "r\\u001b[31m"', "is not allowed in a FITS header"),
         ("added = -0.289", "added = 0.289", "load 'ring': ADDED is 0.289 N; z points up"),
@@ -491,7 +491,7 @@ def test_what_is_wrong_with_a_plan_is_said_in_one_line(inside, file, old, new, s
 def test_a_plan_without_loads(inside, file):
     head = template().partition("[[loads]]")[0]
     file.write_text("loads = []\n" + head)
-    assert "loads is []; give every load once" in inside("plan", file)[2]
+    assert "loads is []; list each load once" in inside("plan", file)[2]
 
 
 def test_words_that_do_not_go_together(inside, file, tmp_path):

@@ -1,4 +1,4 @@
-"""The plan of a campaign: shapes, loads, cycles and limits, and the shapes it leads to."""
+"""The plan of a campaign: shapes, loads, cycles and limits, and the forces of its shapes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _count(low: int, high: int) -> Quantity:
 
 
 class Table:
-    """Base of the tables of a plan, whose numbers may be given with units."""
+    """Base of the tables of a plan. Their numbers may be quantities with units."""
 
     def __post_init__(self) -> None:
         convert_quantities(self)
@@ -53,7 +53,7 @@ class Table:
 
 @dataclass(frozen=True)
 class PlannedShapes(Table):
-    """Which shapes are taken, and how large they are.
+    """The shapes of a campaign and their size.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class PlannedShapes(Table):
         'modes': stiffness modes of the model. Otherwise a file: a stiffness file for its measured
         modes, or a FITS image SHAPES of shapes x actuators [m], which is not scaled.
     count
-        How many, softest first; 0 for all.
+        Number of shapes, softest first; 0 for all.
     stroke
         Largest displacement of an actuator in any shape [m].
     force
@@ -180,11 +180,11 @@ class CampaignPlan(Table):
     mirror
         Name of a known mirror, or its TOML file.
     loads
-        In the order in which they are put on first. At least two different ones fix the scale.
+        In the order in which they are first mounted. Two different weights determine the scale.
     cycles
-        Runs through all shapes, both signs, under each load.
+        Cycles under each load. One cycle takes all shapes with both signs.
     samples
-        Of one reading.
+        Number of samples per reading.
     settling
         Time between command and reading [s]; by default that of P45 (docs/simulated-bench.md).
     pause
@@ -194,8 +194,8 @@ class CampaignPlan(Table):
     shapes, limits, bench
         Tables of the plan.
     turns
-        How often the loads are put on in turn, back and forth (`mountings`). 1: all cycles of a
-        load before the next. 2: bare-ring-bare. 3: bare-ring-bare-ring. 0: chosen by drift.
+        Order of the loads (`mountings`). 1: bare-ring. 2: bare-ring-bare. 3: bare-ring-bare-ring.
+        0: the largest, if it reduces the scale error more than cycles in the same time, else 1.
     drift, sensors
         Assumptions of the prediction.
     segment
@@ -234,14 +234,14 @@ class CampaignPlan(Table):
         super().__post_init__()
         check_quantities(self)
         if self.turns > self.cycles:
-            raise _wrong("turns", self.turns, "give no more turns than cycles, or 0 for what pays")
+            raise _wrong("turns", self.turns, "use no more turns than cycles, or turns = 0")
         shapes, limits, bench = self.shapes, self.limits, self.bench
         if not limits.temperature[0] < limits.temperature[1]:
-            raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
+            raise _wrong("limits.temperature", list(limits.temperature), "put the lowest first")
         if bench.kind not in BENCH_KINDS:
             raise _wrong("bench.kind", bench.kind, f"choose {', '.join(BENCH_KINDS)}")
         for name in foreign_keys(bench):
-            remedy = f"take it out: a bench of kind '{bench.kind}' does not use it"
+            remedy = f"remove it: a bench of kind '{bench.kind}' does not use it"
             raise _wrong(f"bench.{name}", getattr(bench, name), remedy)
         _check_loads(self.loads)
         for what, limit, planned in (
@@ -273,11 +273,11 @@ def _check_loads(loads: Sequence[Load]) -> None:
         if other.key != load.key:
             raise FormatError(
                 f"the loads '{other.name}' and '{load.name}' would share the name of their files",
-                remedy="name one of them otherwise",
+                remedy="rename one of them",
             )
     if not files or len(files) < len(loads):
         names = [load.key for load in loads]
-        raise _wrong("loads", names, "give every load once, with a name of its own")
+        raise _wrong("loads", names, "list each load once, with its own name")
 
 
 def _wrong(name: str, got: Any, remedy: str) -> FormatError:
@@ -304,15 +304,15 @@ def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
     """
     if Path(path).is_dir() or os.fspath(path).endswith(SUFFIXES):
         raise FormatError(
-            "is a folder" if Path(path).is_dir() else "is named as FITS files are",
-            remedy="give the plan, a TOML file; `truenewton plan --new` prints one to start from",
+            "is a folder" if Path(path).is_dir() else "has the name of a FITS file",
+            remedy="specify a plan, a TOML file; `truenewton plan --new` prints one",
             path=path,
         )
     return filled(CampaignPlan, read_toml(path), path)
 
 
 def template() -> str:
-    """Return a commented plan (TOML), valid without changes: P45 without and with the ring."""
+    """Return a commented plan (TOML), valid as it is: P45 without and with an added weight."""
     file = importlib.resources.files("truenewton.acquisition") / "plan.toml"
     return file.read_text(encoding="utf-8")
 
@@ -353,7 +353,7 @@ def _mirror_of(plan: CampaignPlan, folder: str | os.PathLike[str]) -> Path | str
 
 
 def expected_alpha(mirror: Mirror) -> float:
-    """Return the alpha that a plan assumes: the middle of the mirror's range."""
+    """Return the alpha that a plan assumes: the middle of the range of the mirror model."""
     return float(np.mean(mirror.alpha_range))
 
 
@@ -365,8 +365,8 @@ def shapes_and_forces(
 ) -> tuple[Array, Array, bool]:
     """Return the (shapes, n) displacements of a plan [m] and their commanded forces [N].
 
-    Each shape is taken with both signs. The forces are without those of the loads: by the measured
-    matrix if it gives the shapes, else by the model over `expected_alpha`. Those of disabled
+    Each shape is taken with both signs. The forces exclude those of the loads. They follow from the
+    measured matrix if it is the source of the shapes, otherwise from the model / `expected_alpha`. Those of disabled
     actuators are 0. The third value is whether a file gives the shapes, which are then not scaled.
     """
     on, path = mirror.layout.enabled, Path(folder) / plan.shapes.source
@@ -395,7 +395,9 @@ def shapes_and_forces(
         chosen = image[: plan.shapes.count or None, on]
         if not (np.abs(chosen) <= LARGEST_DISPLACEMENT).all():
             raise FormatError(
-                "SHAPES contains NaN, inf or absurd values", remedy="correct it", path=path
+                f"SHAPES contains NaN, or displacements beyond {LARGEST_DISPLACEMENT:g} m",
+                remedy="correct it",
+                path=path,
             )
         stiffness = (glass or model_glass(mirror)).stiffness / expected_alpha(mirror)
     shapes, force = np.zeros((2, len(chosen), on.size))

@@ -1,6 +1,6 @@
-"""What a plan gives: errors, time, what a third load would show, what to change for a target.
+"""The prediction of a plan: errors, time, a third load, and changes that reach a target.
 
-The errors are those of `prediction`, for the forces that the model of the shell gives.
+The errors are those of `prediction`, for the forces that the shell model predicts.
 """
 
 from __future__ import annotations
@@ -282,7 +282,7 @@ def _curve(values: Sequence[float], predictions: list[Prediction]) -> Curve:
 class Change:
     """A change of one property of a plan."""
 
-    what: str  # 'cycles', 'added weight', 'balance', 'tilt' or 'shapes'
+    what: str  # 'cycles', 'added weight', 'weighing', 'tilt' or 'shapes'
     reached: bool  # whether it reaches the wanted error
     change: str  # description of the change, or why there is none
     plan: CampaignPlan | None  # the changed plan; None if there is no such change
@@ -299,7 +299,7 @@ def suggest_changes(ready: Prepared, target: float) -> tuple[Change, ...]:
     ladders = (
         ("cycles", _more_cycles(plan), "there are as many as possible"),
         ("added weight", _heavier(plan), "no load has an added weight"),
-        ("balance", _better_known(plan), "no added weight has an error"),
+        ("weighing", _better_known(plan), "no added weight has an error"),
         ("tilt", _tilted(plan), ""),
         ("shapes", _larger(ready), "they are given, or at their limits"),
     )
@@ -353,7 +353,7 @@ def _better_known(plan: CampaignPlan) -> Ladder:
         loads = tuple(
             replace(one, added_error=float(f"{one.added_error / factor:.3g}")) for one in plan.loads
         )
-        words = (f"'{one.name}' known to {1e3 * one.added_error:g} mN" for one in loads
+        words = (f"'{one.name}' ± {1e3 * one.added_error:g} mN" for one in loads
                  if one.added_error)  # fmt: skip
         yield ", ".join(words), {"loads": loads}
 
@@ -365,7 +365,7 @@ def _tilted(plan: CampaignPlan) -> Ladder:
         load = Load(
             name, tilt=float(tilt), tilt_error=TILT_ERROR, coil_shift_error=LIKELY_COIL_SHIFT
         )
-        coils = f"its coils to {1e6 * LIKELY_COIL_SHIFT:g} um"
+        coils = f"coil displacement ± {1e6 * LIKELY_COIL_SHIFT:g} um"
         words = f"a load tilted by {tilt:g} ± {TILT_ERROR:g} deg, {coils}"
         yield words, {"loads": (*plan.loads, load)}
 

@@ -40,7 +40,7 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
     )
     ids = prediction.layout.id[prediction.layout.enabled]
     order = mountings(plan, shapes)
-    readings = 2 * shapes * plan.cycles * len(plan.loads)
+    count = 2 * shapes * plan.cycles * len(plan.loads)
     rows = []
     if prediction.scale_is_free:
         rows.append(("common scale", "free", "no two loads differ in weight"))
@@ -52,9 +52,9 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
         ]  # fmt: skip
     rows += [
         ("  statistical", percent(from_readings),
-         f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
+         f"E_STAT, for a noise of {1e3 * plan.force_noise:.3g} mN per reading"),
         ("duration", _time(outcome.duration),
-         f"{readings} readings, {counted(len(order) - 1, 'load change')} of {_time(plan.pause)}"),
+         f"{count} rows, {counted(len(order) - 1, 'load change')} of {_time(plan.pause)}"),
         ("largest force", f"{strain.force:.3g} N",
          f"limit {limits.force:g} N; actuator {strain.actuator}, load '{strain.load}'"),
         ("largest stroke", f"{1e6 * strain.stroke:.3g} um",
@@ -63,14 +63,15 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
         ("smallest gap", f"{1e6 * strain.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
     ]  # fmt: skip
     yield from starmap(row, rows)
-    yield row("order of the loads", ", ".join(map(str, order)))
+    yield row("order of the loads", ", ".join(map(str, order)), f"turns = {plan.turns}")
     if len(outcome.orders) > 1:
-        yield _remounting_pays(outcome)
+        yield _turns_line(outcome)
     if (third := outcome.third_load) is not None:
         yield (
-            f"  advice: A third load like '{third.like}' reduces the scale error, drift included,"
-            f" from {percent(third.error_now)} to {percent(third.error)}, and detects an error of"
-            f" {1e3 * third.seen:.2g} mN in '{third.like}', which two loads cannot."
+            f"  advice: Add a third load with the weight of '{third.like}' and an independent"
+            f" uncertainty. The scale error, drift included, decreases from"
+            f" {percent(third.error_now)} to {percent(third.error)}. An error of"
+            f" {1e3 * third.seen:.2g} mN in '{third.like}' can then be detected."
         )
     yield from warning_lines(outcome.warnings)
 
@@ -86,7 +87,7 @@ def detail_lines(outcome: PlanPrediction) -> Iterator[str]:
     yield row("least certain pattern", prediction.diagnosis.weakest,
               f"{share} of the variance E_STAT^2")  # fmt: skip
     yield row("force at lowest alpha", f"{strain.force_at_worst:.3g} N",
-              f"of actuator {strain.actuator}, if its alpha is the lowest possible")  # fmt: skip
+              f"actuator {strain.actuator}, if its alpha is {min(ready.mirror.alpha_range):g}")  # fmt: skip
     yield row("time of one reading", f"{1e3 * reading_time(ready.plan):.3g} ms")
     yield from _reciprocity_lines(outcome)
     yield from _order_lines(outcome)
@@ -107,14 +108,13 @@ def _small_shapes(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
         return []
     return [
         ("smallest stroke", f"{1e9 * strokes.min():.3g} nm",
-         f"`acquire` will take noise of a position ({1e9 * noise:.2g} nm) for faults in {small} of"
-         f" {counted(len(strokes), 'shape')}; reduce shapes.count, or let the bench give"
-         " position_scatter")
+         f"`acquire` will report position noise ({1e9 * noise:.2g} nm) as a fault in {small} of"
+         f" {counted(len(strokes), 'shape')}; reduce shapes.count, or provide position_scatter")
     ]  # fmt: skip
 
 
 def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
-    """Yield what reciprocity will give, or why it is not possible."""
+    """Yield the errors of reciprocity, or why it is not possible."""
     found, plan = outcome.reciprocity, outcome.ready.plan
     if found.planned is None:
         yield row("by reciprocity", f"not possible: {found.why_not}")
@@ -126,13 +126,13 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
         rows.append(("error of alpha", percent(error), "E_ALPHA, typical"))
     rows.append(
         ("statistical", percent(from_readings),
-         f"E_STAT, positions read to {1e9 * sensors.noise:.2g} nm")
+         f"E_STAT, for a noise of {1e9 * sensors.noise:.2g} nm per position")
     )  # fmt: skip
     if sensors.gain:
-        note = f"E_GAIN, typical; gains within {percent(sensors.gain)}"
+        note = f"E_GAIN, typical; gains scatter by {percent(sensors.gain)}"
         rows.append(("sensor gains", percent(float(np.median(found.gain_error))), note))
     if sensors.offset:
-        note = f"E_DX, E_DY; sensors within {1e3 * sensors.offset:.2g} mm of their magnets"
+        note = f"E_DX, E_DY; offsets of {1e3 * sensors.offset:.2g} mm rms per axis"
         typical_offset = f"{1e3 * float(np.median(found.offset_error)):.2g} mm"
         rows.append(("sensor offsets", typical_offset, note))
     for name, value, note in rows:
@@ -148,36 +148,37 @@ def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
         yield row("change of load to", ", ".join(changes))
     if len(outcome.orders) > 1:
         title = (
-            f"  scale error by order of the loads (drift in an hour: alpha {percent(drift.alpha)},"
+            f"  scale error by number of turns (drift per hour: alpha {percent(drift.alpha)},"
             f" zeros {1e6 * drift.zero:.3g} uN; mounting: {1e6 * drift.remounting:.3g} uN):"
         )
-        head = "order of the loads", "alpha", "zeros", "mounting", "total", "time", ""
+        head = "turns", "alpha", "zeros", "mounting", "total", "time", ""
         rows = (_order_cost(cost, plan.turns) for cost in outcome.orders)
         yield from table_lines(title, head, *rows)
     if (third := outcome.third_load) is not None:
         yield row("third load", f"{_time(third.duration)} more",
-                  f"{counted(third.mountings, 'load change')}; detects {percent(third.relative)} of"
-                  " the scale")  # fmt: skip
+                  f"{counted(third.mountings, 'load change')}; detects a {percent(third.relative)}"
+                  " scale error")  # fmt: skip
 
 
 def _order_cost(cost: OrderCost, planned: int) -> tuple[str, ...]:
-    """Return an order of the loads, the errors of the scale by it, and its time."""
+    """Return a number of turns, its errors of the scale, and its time."""
     errors = abs(cost.gain), abs(cost.zero), cost.remounting, cost.error
     taken = "planned" if cost.turns == planned else ""
-    order = ("one after the other", "there and back", "there, back, there")[cost.turns - 1]
-    return order, *map(percent, errors), _time(cost.duration), taken
+    return str(cost.turns), *map(percent, errors), _time(cost.duration), taken
 
 
-def _remounting_pays(outcome: PlanPrediction) -> str:
-    """Return the cost and gain of more mountings, compared with more cycles in the same time."""
+def _turns_line(outcome: PlanPrediction) -> str:
+    """Return the scale errors of most turns and of more cycles; advice if the plan is not best."""
     ready, most = outcome.ready, outcome.orders[-1]
-    without = without_remounting(ready.plan, ready.mirror, len(ready.shapes), most)
-    extra = most.changes - outcome.orders[0].changes
+    plan, mirror, shapes = ready.plan, ready.mirror, len(ready.shapes)
+    best = turns_that_pay(plan, mirror, shapes)
+    advice = "" if plan.turns == best else f"advice: Use turns = {best}. "
+    extra = counted(most.changes - outcome.orders[0].changes, "more load change")
     return (
-        f"  recommended: turns = {turns_that_pay(ready.plan, ready.mirror, len(ready.shapes))}."
-        f" Scale error, drift included: {percent(most.error)} with"
-        f" {counted(extra, 'more mounting')} ({_time(most.duration - outcome.orders[0].duration)}),"
-        f" {percent(without)} with more cycles in that time."
+        f"  {advice}{'Scale' if advice else 'scale'} error, drift included: {percent(most.error)}"
+        f" with turns = {most.turns} ({extra}, {_time(most.duration - outcome.orders[0].duration)}),"
+        f" {percent(without_remounting(plan, mirror, shapes, most))} with turns = 1"
+        " and more cycles in the same time."
     )
 
 

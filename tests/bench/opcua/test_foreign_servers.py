@@ -279,9 +279,9 @@ def test_answers_of_another_kind_are_refused_by_name(method, values, said):
 @pytest.mark.parametrize(
     ("choice", "said"),
     [
-        (BenchChoice("opcua", seed=7), "seed is 7; take it out: a bench of kind 'opcua'"),
-        (BenchChoice("opticalib", seed=7), "seed is 7; take it out: a bench of kind 'opticalib'"),
-        (BenchChoice("simulated", address="a"), "address is 'a'; take it out"),
+        (BenchChoice("opcua", seed=7), "seed is 7; remove it: a bench of kind 'opcua'"),
+        (BenchChoice("opticalib", seed=7), "seed is 7; remove it: a bench of kind 'opticalib'"),
+        (BenchChoice("simulated", address="a"), "address is 'a'; remove it"),
     ],
 )
 def test_what_a_bench_does_not_use_is_refused(choice, said):
