@@ -366,8 +366,9 @@ def shapes_and_forces(
     """Return the (shapes, n) displacements of a plan [m] and their commanded forces [N].
 
     Each shape is taken with both signs. The forces exclude those of the loads. They follow from the
-    measured matrix if it is the source of the shapes, otherwise from the model / `expected_alpha`. Those of disabled
-    actuators are 0. The third value is whether a file gives the shapes, which are then not scaled.
+    measured matrix if it is the source of the shapes, otherwise from the model / `expected_alpha`.
+    Those of disabled actuators are 0. The third value is whether a file gives the shapes, which are
+    then not scaled.
     """
     on, path = mirror.layout.enabled, Path(folder) / plan.shapes.source
     file = None if plan.shapes.source == "modes" else read_fits(path)

@@ -83,11 +83,11 @@ def detail_lines(outcome: PlanPrediction) -> Iterator[str]:
     if parts and not prediction.scale_is_free:
         budget = ", ".join(f"{what} {percent(part)}" for what, part in parts)
         yield row("budget of the scale", budget)
-    share = percent(prediction.diagnosis.weakest_share)
+    share, lowest = percent(prediction.diagnosis.weakest_share), min(ready.mirror.alpha_range)
     yield row("least certain pattern", prediction.diagnosis.weakest,
               f"{share} of the variance E_STAT^2")  # fmt: skip
     yield row("force at lowest alpha", f"{strain.force_at_worst:.3g} N",
-              f"actuator {strain.actuator}, if its alpha is {min(ready.mirror.alpha_range):g}")  # fmt: skip
+              f"actuator {strain.actuator}, if its alpha is {lowest:g}")  # fmt: skip
     yield row("time of one reading", f"{1e3 * reading_time(ready.plan):.3g} ms")
     yield from _reciprocity_lines(outcome)
     yield from _order_lines(outcome)
@@ -174,9 +174,10 @@ def _turns_line(outcome: PlanPrediction) -> str:
     best = turns_that_pay(plan, mirror, shapes)
     advice = "" if plan.turns == best else f"advice: Use turns = {best}. "
     extra = counted(most.changes - outcome.orders[0].changes, "more load change")
+    longer = _time(most.duration - outcome.orders[0].duration)
     return (
         f"  {advice}{'Scale' if advice else 'scale'} error, drift included: {percent(most.error)}"
-        f" with turns = {most.turns} ({extra}, {_time(most.duration - outcome.orders[0].duration)}),"
+        f" with turns = {most.turns} ({extra}, {longer}),"
         f" {percent(without_remounting(plan, mirror, shapes, most))} with turns = 1"
         " and more cycles in the same time."
     )
