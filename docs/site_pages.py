@@ -94,6 +94,7 @@ class SourceLinks(SphinxPostTransform):
 
 def pages_of_the_root(_: Sphinx, page: str, source: list[str]) -> None:
     """Show README, CONTRIBUTING and CHANGELOG, whose links start from the root, as pages."""
+    source[0] = source[0].replace("../README.md#", "index.md#")  # links of the other pages
     name = {"index": "README"}.get(page, page.upper())
     if page in ("index", "contributing", "changelog"):
         text = (ROOT / f"{name}.md").read_text(encoding="utf-8")
