@@ -91,7 +91,7 @@ def test_the_page_has_the_nodes_of_client_and_server():
     said = [told(re.sub(r"`(\w+)`( \(optional\))?", rf"\1 {kind}\2", name))[0]
             for name, kind, _ in variables]  # fmt: skip
     assert said == declared(VARIABLES)
-    methods = rows_of("| method | takes | gives |")
+    methods = rows_of("| method | inputs | outputs |")
     assert [name for name, *_ in methods] == [
         f"`{name}`{' (optional)' if name in OPTIONAL else ''}" for name in METHODS
     ]
