@@ -225,7 +225,7 @@ def read_alpha(path: AnyPath, *, segment: int | None = None) -> AnyCalibration:
     suffix = Path(path).suffix.lower()
     if suffix in LACKS and Path(path).is_file():
         raise FormatError(
-            f"contains {LACKS[suffix].partition(';')[0]}",
+            f"contains {LACKS[suffix].partition(',')[0]}",
             remedy="give the .fits of the same calibration, which contains all of it",
             path=path,
         )

@@ -327,7 +327,7 @@ def test_commands_take_segments(folder, inside, tmp_path, monkeypatch):
         assert inside("figures", path, "-o", tmp_path / "figures")[1].startswith("verdict: ")
     code, said, _ = inside("info", folder)
     assert code == 0
-    assert "3 with enough for alpha" in said
+    assert "alpha is determined for 3" in said
     code, said, _ = inside("calibrate", folder, "--segment", 2, "-o", tmp_path / "two.fits")
     assert code == 0
     assert isinstance(tn.read(tmp_path / "two.fits"), tn.Calibration)

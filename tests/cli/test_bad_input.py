@@ -451,7 +451,7 @@ COMMAND_LINES = {
     "no number": (["simulate", "p45", "-o", "x", "--seed", "one"], "Invalid value for '--seed'"),
     "words for IDs": (
         ["recalibrate", "x", "--known", "y", "--actuators", "17,,18"],
-        "'17,,18'; give IDs, as 17,18",
+        "'17,,18'; give IDs, such as 17,18",
     ),
     "no mirror like it": (["simulate", "p54", "-o", "x"], "p54"),
 }

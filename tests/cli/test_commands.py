@@ -38,7 +38,8 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("campaign") / "ring8"
     code, out, err = run("simulate", "ring8", "-o", path, "--cycles", "2")
     assert (code, err) == (0, "")
-    said = f"{path}: RING8, 2 loads x 2 cycles x 16 shapes; truth in ring8.truth.fits"
+    said = f"{path}: RING8, 2 loads, 2 cycles per load, 8 shapes with both signs;"
+    said += " true values: ring8.truth.fits"
     assert " ".join(out.split()) == said
     return path
 
@@ -81,10 +82,10 @@ def test_info_says_what_files_hold_and_what_they_lack(inside, p45_folder):
     code, out, _ = inside("info", p45_folder)
     assert code == 0
     assert "a campaign of P45: 45 actuators, 4 cycle files, 45 shapes" in out
-    assert "enough for alpha, uniqueness " in out
+    assert "alpha                   determined by the data        uniqueness " in out
     code, out, _ = inside("info", p45_folder / "bare-001.fits")
     assert code == 0
-    assert "not enough for alpha: there is only one load, 'bare'" in out
+    assert "alpha is not determined: There is only one load, 'bare'" in out
     assert "1 cycle file, " in out
     assert "1 cycle, 90 rows" in out
     _, out, _ = inside("info", p45_folder / "bare-001.fits", "--json")

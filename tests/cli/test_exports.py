@@ -71,7 +71,7 @@ def test_the_command_says_what_a_form_leaves_out(campaign, inside, tmp_path):
         words = "calibrate", tmp_path / "day", "-o", tmp_path / f"a{suffix}", "--method", "svd"
         code, out, _ = inside(*words)
         assert code == 0
-        assert (f"a{suffix} holds" in out) == (suffix != ".fits")
+        assert (f"a{suffix} contains" in out) == (suffix != ".fits")
 
 
 @pytest.mark.parametrize("name", ["alpha.txt", "alpha", "alpha.csv.gz"])

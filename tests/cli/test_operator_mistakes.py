@@ -108,7 +108,7 @@ def added(cycle, weight):
 
 NOT, LIMITED = ("rejected",), ("usable", "doubtful")
 REFUSED = (None,)
-IN_ORDER = "in the order of ACTUATORS, or leave it out"
+IN_ORDER = "in the order of ACTUATORS, or leave the file out"
 FORCE_IN, WEIGHTS_IN = "correct the unit of FORCE where", "store WEIGHT and ADDED in N"
 FAULTS = {
     # units and signs, of all files
@@ -147,7 +147,7 @@ FAULTS = {
     ),
     "POSITION not read": (
         changed(lambda c: replace(c, position=0.0 * c.position)),
-        NOT, "POSITION is the same in all rows", "remove the column if",
+        NOT, "POSITION is the same in all rows", "remove the column",
     ),
     "a sensor frozen in one file": (
         changed(holding(7), ONE),
@@ -187,7 +187,7 @@ FAULTS = {
         changed(dated, ONE), LIMITED, "DATE-OBS of ring 3 is 13149 days from that of the other",
         "correct DATE-OBS",
     ),
-    "Fahrenheit": (changed(warmer), LIMITED, "TEMPERATURE is 68", "Fahrenheit"),
+    "Fahrenheit": (changed(warmer), LIMITED, "TEMPERATURE is 68", "68 deg F"),
 }  # fmt: skip
 
 

@@ -82,13 +82,13 @@ FAULTS = {
         lambda: campaign_of(
             5, 1e-3, loads=(Load("bare"), Load("ring", 1e-3 * WEIGHT, 5e-5)), cycles=4
         )[0].cycles,
-        "usable", "the loads differ by no more than 0.0029 N of 2.9 N", "more shapes do not help",
+        "usable", "difference between the loads, 0.0029 N of 2.9 N", "More shapes do not help",
     ),
     "loads as good as the same": (
         lambda: campaign_of(5, 1e-3, loads=(Load("bare"), Load("ring", 1e-4 * WEIGHT, 5e-5)))[
             0
         ].cycles,
-        None, "the loads differ by no more than 0.00029 N", "take a load that differs",
+        None, "difference between the loads, 0.00029 N", "use a load that differs",
     ),
     "E_ADDED is 0": (
         lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
@@ -204,8 +204,8 @@ def test_rounding_is_noise_and_no_outlier(noise, count):
     text = " | ".join(each.fault for each in found.verdict.faults)
     assert "repeated shapes scatter" not in text
     if count > 1:
-        assert "FORCE comes in steps of 0.0416 mN" in text
-        assert "E_STAT includes 0.012 mN, step / root 12" in text
+        assert "FORCE has steps of 0.0416 mN" in text
+        assert "E_STAT includes 0.012 mN, step / sqrt(12)" in text
 
 
 def test_rounding_is_added_to_a_smaller_declared_force_error():

@@ -27,33 +27,33 @@ from truenewton.statics.arms import external_load
 
 GOLDEN = {
     "fine": """\
-Sound. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. The stated\
+Sound. Alpha of all 14 actuators of TEST has a typical error of 0.019 %. The stated\
  errors are valid.
-alpha: 0.73445 .. 1.02068 (true N / commanded N; actuators 1 and 3)
+alpha: 0.73445 .. 1.02068 (true N / commanded N; lowest: actuator 1, highest: 3)
 typical error of alpha: 0.019 % (E_ALPHA, one sigma)
 common scale: 0.0069 % (E_SYST, from the weights)
 Nothing needs to be done.""",
     "scale_limited": """\
-Usable. Alpha of all 14 actuators of TEST is known, typically to 1.7 %. Alpha can be used within\
+Usable. Alpha of all 14 actuators of TEST has a typical error of 1.7 %. Alpha can be used within\
  the limits below.
-alpha: 0.734 .. 1.021 (true N / commanded N; actuators 1 and 3)
+alpha: 0.734 .. 1.021 (true N / commanded N; lowest: actuator 1, highest: 3)
 typical error of alpha: 1.7 % (E_ALPHA, one sigma)
 common scale: 1.7 % (E_SYST, from the weights)
 - The uncertainty of the common scale is 1.7 %, and nearly all of it comes from the weight of\
  'ring A'. If you weigh 'ring A' to 0.5 mN, the scale error falls to 0.17 %. If you use a tilt of\
  60 ± 0.1 degrees as the load, the scale error is 0.35 %.""",
     "with_outliers": """\
-Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. Alpha can be used within\
+Usable. Alpha of all 14 actuators of TEST has a typical error of 0.019 %. Alpha can be used within\
  the limits below.
-alpha: 0.73447 .. 1.02071 (true N / commanded N; actuators 1 and 3)
+alpha: 0.73447 .. 1.02071 (true N / commanded N; lowest: actuator 1, highest: 3)
 typical error of alpha: 0.019 % (E_ALPHA, one sigma)
 common scale: 0.0069 % (E_SYST, from the weights)
 - 3 rows did not fit and were left out; the farthest: cycle 1 row 3, 372 sigma from its repeats,\
- mostly by actuator 6. Check the residuals, and an actuator that is named repeatedly.""",
+ mainly because of actuator 6. Check the residuals, and any actuator that is named repeatedly.""",
     "one_load": """\
 No alpha. These data of TEST cannot give alpha.
-- There is only one load, 'bare', so the common scale is free. Add cycles under a load of another\
- known weight.""",
+- There is only one load, 'bare', so the common scale is not determined. Add cycles under a load of\
+ another known weight.""",
 }
 
 
@@ -145,7 +145,7 @@ def test_what_is_common_to_all_is_no_change():
     scale = np.nanmedian(found.one.systematic_error / found.one.alpha)
     assert found.ratio_error == pytest.approx(1.02 * np.sqrt(2) * scale)
     named = replace(found.one, sources=(Source("bare.fits", "0" * 64, 1, 0),))
-    assert "rest on the same files" in headline_of(compare_calibrations(named, named)).advice[0][0]
+    assert "use the same files" in headline_of(compare_calibrations(named, named)).advice[0][0]
 
 
 def test_chance_alone_changes_nothing():
@@ -237,7 +237,7 @@ def test_worst_residuals_and_bad_actuators_are_listed_with_their_ids(p45):
     residuals = p45.evidence.residuals
     worst = int(np.argmax(residuals.after))
     place = f"shape {residuals.signed_shape[worst]} of cycle {residuals.cycle[worst] + 1} "
-    assert rows["rows least in balance"].startswith(place)
+    assert rows["rows with the largest imbalance"].startswith(place)
     assert rows["outliers: alpha"].startswith("17 (")
     assert rows["named in findings"] == "17 (1)"
     disabled = investigate(report_data.fine(disabled=(4,))).calibration
@@ -255,13 +255,16 @@ def test_a_page_of_a_large_mirror_is_little_longer_than_bokeh():
 def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp_path):
     code, out, err = inside("report", p45_folder, "-o", tmp_path / "one.html")
     assert (code, err) == (0, "")
-    assert out.startswith("Usable. Alpha of all 45 actuators of P45 is known")
+    assert out.startswith("Usable. Alpha of all 45 actuators of P45 has a typical error")
     assert f"truenewton report {p45_folder}" in (tmp_path / "one.html").read_text()
     for method in ("ml", "svd"):
         inside("calibrate", p45_folder, "--method", method, "-o", tmp_path / f"{method}.fits")
     code, out, err = inside("report", tmp_path / "ml.fits", "-o", tmp_path / "two.html")
     assert (code, err) == (0, "")
-    assert "does not contain them: give the cycles" in (tmp_path / "two.html").read_text()
+    assert (
+        "does not contain them. To show them, give the cycles"
+        in (tmp_path / "two.html").read_text()
+    )
     code, _, err = inside("report", p45_folder, "--calibration", tmp_path / "ml.fits",
                               "-o", tmp_path / "again.html")  # fmt: skip
     assert (code, err) == (0, "")
@@ -274,7 +277,7 @@ def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp
     pair = (tmp_path / "svd.fits", tmp_path / "ml.fits")
     code, out, err = inside("report", *pair, "-o", tmp_path / "pair.html")
     assert (code, err) == (0, "")
-    assert "rest on the same files" in out
+    assert "use the same files" in out
     code, _, err = inside("report", p45_folder, "-o", tmp_path / "one.html")
     assert code == 2
     assert "exists already" in err

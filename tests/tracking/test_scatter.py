@@ -140,7 +140,7 @@ def test_days_that_leave_nothing_over_say_that_scatter_is_not_told():
     found = tn.track(*scattered(5, own=1e-3)[:2])
     assert found.scatter_degrees == 0
     assert found.outliers == ()
-    assert "2 days only determine the 2 unknowns of each line" in found.limits[-1]
+    assert "2 calibrations determine only the 2 unknowns of each line" in found.limits[-1]
     assert "assumed to be zero" in found.limits[-1]
     found = tn.track(*scattered(5, own=1e-3)[:4])
     assert "has only 1 degree of freedom" in found.limits[-1]

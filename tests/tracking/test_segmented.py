@@ -125,7 +125,7 @@ def test_the_command_tracks_all_segments(files, inside, tmp_path):
     assert "of 3 segments" in said.splitlines()[0]
     assert said.count("no outliers") == 1
     assert "segments 1 to 3: no outliers" in said
-    assert "segments 1 to 3: the latest calibration is valid to 1 %" in said
+    assert "segments 1 to 3: alpha of the latest calibration is valid to 1 %" in said
     code, said, _ = inside("track", *files, "--json")
     values = checked(said)
     assert values["schema"] == "truenewton.track-segments/2"

@@ -229,7 +229,7 @@ def test_cycles_of_one_campaign_at_two_temperatures_are_calibrated_apart():
     found = tn.track(tn.Campaign((*cold.cycles, *warm)))
     assert [round(day.temperature) for day in found.days] == [12, 24]
     assert found.effects == ("temperature",)
-    assert "drift is not known" in found.limits[0]
+    assert "drift is not determined" in found.limits[0]
     assert np.sqrt(np.mean((found.coefficient - K) ** 2)) < 2e-4
     apart = tn.track(cold, tn.Campaign(tuple(warm)))
     assert np.array_equal(apart.coefficient, found.coefficient)
@@ -238,7 +238,7 @@ def test_cycles_of_one_campaign_at_two_temperatures_are_calibrated_apart():
 def test_one_temperature_or_none_tells_drift_alone():
     found = tn.track(*drawn(9, K, R, gap=200.0, temperatures=(18.0, 18.2, 17.9)))
     assert found.effects == ("drift",)
-    assert "one temperature" in found.limits[0]
+    assert "the same temperature" in found.limits[0]
     assert (found.coefficient == 0).all()
     assert found.errors[1].max() == 0
     assert np.isfinite(found.alpha_at(18.5).alpha).all()
@@ -284,7 +284,7 @@ def test_what_cannot_be_tracked_is_refused():
             tn.track(*given)
 
     refused(RankDeficient, "one calibration", one)
-    refused(RankDeficient, "one day and one temperature", one,
+    refused(RankDeficient, "same date and temperature", one,
             dataclasses.replace(one, alpha=two.alpha))  # fmt: skip
     refused(CampaignMismatch, "of OTHER", one, dataclasses.replace(two, instrument="OTHER"))
     elsewhere = dataclasses.replace(two.layout, x=two.layout.x + 1e-3)
@@ -380,7 +380,7 @@ def test_nothing_is_promised_where_no_day_has_been(tracking):
     first, last = tracking.days[0].date, tracking.days[-1].date
     assert v.until == v.law_until == last + (last - first)
     said = " ".join(lines(tracking, 0.5))
-    assert "from 12.0 to 24.0 deg C (limit of the days)" in said
+    assert "from 12.0 to 24.0 deg C (range of the data)" in said
     assert "(limit of extrapolation)" in said
     too_noisy = validity_of(tracking, 1e-5)
     assert too_noisy.now > 1e-5

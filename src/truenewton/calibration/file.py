@@ -153,9 +153,9 @@ KINDS[Calibration] = CALIBRATIONS
 
 WHOLE = (".fits", ".fits.gz")
 LACKS = {  # of the other formats, what they contain and lack
-    ".ecsv": "the table and the verdict; no covariance",
-    ".csv": "the table alone; no units (X, Y in m), no verdict, no covariance",
-    ".npy": "alpha alone, NaN where disabled; no errors, no verdict",
+    ".ecsv": "the table and the verdict, without covariance",
+    ".csv": "only the table, without units (X and Y are in m), verdict and covariance",
+    ".npy": "only alpha (NaN for disabled actuators), without errors and verdict",
 }
 
 
@@ -180,8 +180,8 @@ def lacking(calibration: AnyCalibration, path: str | os.PathLike[str]) -> str:
     if not lacks:
         return ""
     return (
-        f"{Path(path).name} holds {lacks}; the verdict is '{calibration.verdict.level}'."
-        " A name in .fits keeps all, which the other commands take"
+        f"{Path(path).name} contains {lacks}. The verdict is '{calibration.verdict.level}'. Other"
+        " commands need a .fits file, which contains everything."
     )
 
 

@@ -55,8 +55,8 @@ def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
     if evidence is not None:
         layers += [
             Layer("residual", "residual / noise", "", evidence.actuator_residual,
-                  "Correction of the actuator's reading that the imbalance implies, rms over rows,"
-                  " in units of its noise (noise alone: 1)."),
+                  "Rms correction of the actuator's readings that would restore the balance, in"
+                  " units of the noise of a reading (noise alone: 1)."),
             Layer("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
                   "Standard deviation of one reading among repeats of its shape."),
         ]  # fmt: skip
@@ -64,8 +64,8 @@ def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
     if c.halves is not None:
         layers.append(
             Layer("halves", "even less odd modes", "", c.halves,
-                  "Relative alpha from the even elastic modes less that from the odd:"
-                  " cross-validation of a matrix.", centre=0.0)
+                  "Cross-validation of a matrix: relative alpha from the even elastic modes minus"
+                  " alpha from the odd modes.", centre=0.0)
         )  # fmt: skip
     if c.layout.has_channels:
         meaning = "Number of the actuator on the mirror; its ID is the channel of the electronics."

@@ -15,6 +15,7 @@ from truenewton.calibration.verdict import NO_ERROR, rejected_sentence
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import (
+    FROM_READINGS,
     NoiseSource,
     RejectedRow,
     Scale,
@@ -29,7 +30,7 @@ from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import KINDS, Summary, summary_of
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted, percent, row, significant, to_digits, with_error
+from truenewton.rounding import counted, percent, row, to_digits, with_error
 
 MEANINGS = {
     Level.SOUND: "the stated errors are valid",
@@ -38,6 +39,7 @@ MEANINGS = {
     Level.REJECTED: "do not use alpha",
 }
 LABELS = {Level.USABLE: "limit", Level.SOUND: "note"}  # of the others: the level
+NOISE_PART = "the noise is part of E_STAT"  # of the common scale
 Row = tuple[str, str, str]  # name, value, note
 NOISE_FROM = {
     NoiseSource.REPEATS: "from repeated shapes",
@@ -183,7 +185,7 @@ def _results(c: Calibration) -> Iterator[Row]:
     """Yield the rows of alpha and its errors."""
     ends, ids = _range_of_alpha(c)
     ratio = "relative, mean 1" if c.scale == Scale.MEAN_ONE else "true N / commanded N"
-    yield "alpha", ends, f"{ratio}; actuators {ids[0]} and {ids[1]}"
+    yield "alpha", ends, f"{ratio}; lowest: actuator {ids[0]}, highest: {ids[1]}"
     yield "typical error of alpha", percent(typical(c.error, c.alpha)), "E_ALPHA, one sigma"
     if c.scale == Scale.MEAN_ONE:
         yield "common scale", "not measured", "needs cycles under known weights"
@@ -193,7 +195,7 @@ def _results(c: Calibration) -> Iterator[Row]:
             yield "  common scale", percent(scale), "E_SYST, from the weights"
         else:
             yield "  common scale", "not stated", "the weights are given without errors"
-        biased = ", scatter only: svd is biased besides" if c.method == "svd" else ""
+        biased = ", without the bias of svd" if c.method == "svd" else ""
         statistical = percent(typical(c.statistical_error, c.alpha))
         yield "  statistical", statistical, f"E_STAT, from the readings{biased}"
     if fit := c.goodness:
@@ -215,15 +217,20 @@ def _details(c: Calibration) -> Iterator[Row]:
             if c.layout.has_texts
             else "IDs are channels"
         )
-        yield "numbering", how, "designation on the mirror: NUMBER of the table"
+        yield "numbering", how, "number on the mirror: column NUMBER"
     if budget := scale_budget(c.scale_errors):
         parts = (f"{what} {percent(part)}" for what, part in budget.items())
-        yield "budget of the scale", ", ".join(parts), ""
+        yield (
+            "budget of the scale",
+            ", ".join(parts),
+            NOISE_PART if str(FROM_READINGS) in budget else "",
+        )
     if c.scale == Scale.MEAN_ONE:
         yield from _symmetry(c)
     else:
         if np.isfinite(c.cycle_error).any():
-            ends = map(significant, (np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)))
+            relative = c.cycle_error / np.abs(c.alpha)
+            ends = map(percent, (np.nanmin(relative), np.nanmax(relative)))
             note = "E_CYCLE, 3 sigma, for comparison (Ricci 2008)"
             yield "scatter of cycles", " .. ".join(ends), note
         yield "bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""
@@ -235,7 +242,7 @@ def _details(c: Calibration) -> Iterator[Row]:
     if fitted := [sensor for sensor in c.sensors if sensor.state == "fitted"]:
         gains = float(np.std([sensor.gain for sensor in fitted]))
         off = float(np.sqrt(np.mean([[s.x**2, s.y**2] for s in fitted])))
-        note = f"{1e3 * off:.2g} mm off their magnets, rms along each axis; each in table SENSORS"
+        note = f"offsets from their magnets: {1e3 * off:.2g} mm rms per axis (table SENSORS)"
         yield "sensors", f"gains scatter by {percent(gains)}", note
     elif c.verdict.notes:
         note = "gains and positions are estimated by reciprocity only, which was not used"
@@ -250,7 +257,7 @@ def _details(c: Calibration) -> Iterator[Row]:
         note = f"of the scaled balance equations E; rank {c.rank}"
         yield "condition", f"{c.condition:.3g}", note
     if np.isfinite(c.solved_condition):
-        yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"
+        yield "  as solved by svd", f"{c.solved_condition:.3g}", "of E, torques in N m"
 
 
 def _range_of_alpha(c: Calibration) -> tuple[str, NDArray[np.str_]]:
@@ -284,7 +291,7 @@ def _symmetry(c: Calibration) -> Iterator[Row]:
         rms = float(np.sqrt(np.nanmean(c.halves**2)))
         far = np.argsort(-np.abs(np.nan_to_num(c.halves)))[:3]
         names = ", ".join(f"{c.layout.shown[k]} ({percent(float(c.halves[k]))})" for k in far)
-        yield "halves of the modes", f"alpha differs by {percent(rms)} rms", f"most at {names}"
+        yield "halves of the modes", f"alpha differs by {percent(rms)} rms", f"largest: {names}"
 
 
 def rejected_values(campaign: Campaign, rejected: Sequence[RejectedRow]) -> list[dict[str, Any]]:

@@ -37,7 +37,7 @@ from truenewton.errors import (
 )
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Diagnosis, RejectedRow
-from truenewton.estimation.findings.finding import Verdict, judged, no_alpha
+from truenewton.estimation.findings.finding import Verdict, as_sentences, judged, no_alpha
 from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.paper.identifiability import diagnose
@@ -96,16 +96,14 @@ def survey(
     headline = f"a {what} of {data.instrument}: {counted(data.layout.n, 'actuator')}{off}{contents}"
     lines.insert(0, headline)
     if screened_only and not refused:
-        lines.append(row("alpha", "not estimated", "`truenewton calibrate` does, and judges it"))
+        lines.append(row("alpha", "not estimated", "use `truenewton calibrate`"))
         lines += warning_lines(verdict.findings)
     elif refused:
-        lines += [f"  not enough for alpha: {each.fault}; {each.remedy}" for each in verdict.faults]
+        lines += [f"  alpha is not determined: {as_sentences(each)}" for each in verdict.faults]
     else:
         apart = diagnosis.separation
-        enough = "enough for alpha" + (f", uniqueness {apart:.3g}" if apart > 0 else "")
-        if verdict.level == Level.REJECTED:
-            enough = "not enough for alpha that is to be used"
-        lines.append(f"  {enough}")
+        note = f"uniqueness {apart:.3g} (1: not unique)" if apart > 0 else ""
+        lines.append(row("alpha", "determined by the data", note))
         lines += verdict_lines(verdict)
     return values, lines
 
@@ -122,13 +120,14 @@ def _survey_segments(
             body = data.part(number)
             values, told = survey(body, method, population=population, motion=of_it)
         except (FormatError, GeometryError) as error:
-            verdict = no_alpha([Fault(error.fault, error.remedy)])
+            fault = Fault(error.fault, error.remedy)
+            verdict = no_alpha([fault])
             values = {"verdict": verdict}
-            told = [f"segment {number}", f"  not enough for alpha: {error.fault}; {error.remedy}"]
+            told = [f"segment {number}", f"  alpha is not determined: {as_sentences(fault)}"]
         good += not values["verdict"] or values["verdict"].level >= Level.DOUBTFUL
         parts.append({"segment": number, **values})
         lines += told
-    lines[0] += f" of {counted(data.layout.n, 'actuator')}, {good} with enough for alpha"
+    lines[0] += f" of {counted(data.layout.n, 'actuator')}, alpha is determined for {good}"
     return {
         "holds": "segments",
         "instrument": data.instrument,
@@ -216,8 +215,8 @@ def _survey_stiffness(
         row(
             "orientation",
             "transposed" if facts.looks_transposed else "not transposed",
-            f"rigid displacements cost {percent(facts.rigid_cost)} of the diagonal, columns are"
-            f" out of balance by {percent(facts.imbalance)}",
+            f"rigid-body residual {percent(facts.rigid_cost)}, column imbalance"
+            f" {percent(facts.imbalance)} of the diagonal",
         ),
     ]
     try:

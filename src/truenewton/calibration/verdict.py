@@ -246,7 +246,7 @@ def _of_result(c: Calibration) -> Iterator[Finding]:
             yield Finding.of(
                 Code.ALPHA_ZERO if dead else Code.ALPHA_OUTLIER,
                 actuators=[c.layout.id[k]],
-                alpha=with_error(float(c.alpha[k]), float(c.statistical_error[k])),
+                alpha=with_error(float(c.alpha[k]), float(c.error[k])),
             )
 
 
@@ -265,8 +265,8 @@ def rejected_sentence(row: RejectedRow, file: str) -> str:
     """Return of one row of a file how far it lay, and which actuator stands out."""
     return (
         f"{file} row {row.row + 1}, {row.sigmas:.0f} sigma from"
-        f" {'its repeats' if row.against == 'repeats' else 'balance'}, mostly by actuator"
-        f" {row.actuator}"
+        f" {'its repeats' if row.against == 'repeats' else 'balance'}, mainly because of"
+        f" actuator {row.actuator}"
     )
 
 

@@ -138,10 +138,12 @@ def run_recalibrate(
     actuators: str = typer.Option(
         ...,
         "--actuators",
-        help="IDs of the replaced actuators (17,18); auto: find what changed.",
+        help="IDs of the replaced actuators, such as 17,18; or auto, to find what changed.",
     ),
     reference: Path | None = typer.Option(
-        None, help="Campaign with POSITION or stiffness file from before: more precise."
+        None,
+        help="Campaign with POSITION, or stiffness file, from before the change. It reduces the"
+        " errors.",
     ),
     output: Path | None = options.output("Calibration file to write."),
     segment: int | None = options.SEGMENT,
@@ -185,9 +187,13 @@ def run_compare(
     old: Path = typer.Argument(
         ..., metavar="OLD", help="Earlier stiffness file, folder of a campaign, or calibration."
     ),
-    new: Path = typer.Argument(..., metavar="NEW", help="The same later."),
+    new: Path = typer.Argument(
+        ..., metavar="NEW", help="Later data of the same kind and the same mirror."
+    ),
     repeat: Path | None = typer.Option(
-        None, "--repeat", help="Further data of the day of OLD or NEW, for the errors."
+        None,
+        "--repeat",
+        help="Second measurement on the day of OLD or NEW, used to estimate the errors.",
     ),
     output: Path | None = options.output(
         "File to write: .fits, the comparison; .ecsv or .csv, its table."
@@ -233,7 +239,9 @@ def run_track(
     output: Path | None = options.output("Tracking file to write."),
     figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
     accuracy: float | None = typer.Option(
-        None, help="Target relative error of alpha (0.005), to print when to calibrate again."
+        None,
+        help="Target relative error of alpha, such as 0.005. The output then states how long alpha"
+        " meets this target.",
     ),
     segment: int | None = options.SEGMENT,
     anyway: bool = options.ANYWAY,
@@ -249,7 +257,9 @@ def run_track(
     from truenewton.tracking.summary import lines, table_of, values
 
     if accuracy is not None and not 1e-9 <= accuracy <= 1:
-        raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
+        raise FormatError(
+            f"--accuracy is {accuracy:g}", remedy="give a relative error, such as 0.005"
+        )
     refuse_existing(output, figures, overwrite=overwrite)
     with busy("tracking"):
         law = track(*paths, accept_rejected=anyway, segment=segment)

@@ -21,8 +21,8 @@ METHOD = typer.Option(
     metavar="[ml|svd|reciprocity|auto]",
     autocompletion=lambda: ["ml", "svd", "reciprocity", "auto"],
     help="ml: maximum likelihood. svd: the method of the paper. reciprocity: symmetry of the"
-    " stiffness. auto: reciprocity if it is valid, otherwise ml. By default ml for cycles; auto for"
-    " a matrix, and with --mirror.",
+    " stiffness. auto: reciprocity if it is valid, otherwise ml. Default: ml for cycles, auto for"
+    " a matrix or with --mirror.",
 )
 POPULATION = typer.Option(
     False, "--population", help="Assume that all alpha are drawn from one normal population (ml)."
@@ -36,10 +36,13 @@ ANYWAY = typer.Option(
     False, "--anyway", help="Continue even if the verdict on alpha is 'rejected'."
 )
 EXCLUDE = typer.Option(
-    None, "--exclude", metavar="ID,...", help="Actuators to leave out of the calibration: 17,18."
+    None,
+    "--exclude",
+    metavar="ID,...",
+    help="Actuators to leave out of the calibration, such as 17,18.",
 )
 SEGMENT = typer.Option(
-    None, "--segment", help="Number of the segment to use, of a segmented mirror."
+    None, "--segment", help="Number of the segment to use (segmented mirrors only)."
 )
 JSON = typer.Option(False, "--json", help="Print numbers as JSON, for scripts.")
 VERBOSE = typer.Option(False, "-v", "--verbose", help="Print all numbers, and all actuators.")
@@ -80,7 +83,7 @@ def ids(text: str | None, option: str) -> list[int | str]:
     """Return the IDs, or texts, of a list with commas; none if the option was not given."""
     words = [word.strip() for word in text.split(",")] if text else []
     if not all(words):
-        raise FormatError(f"{option} is '{text}'", remedy="give IDs, as 17,18")
+        raise FormatError(f"{option} is '{text}'", remedy="give IDs, such as 17,18")
     return [int(word) if word.isdecimal() else word for word in words]
 
 

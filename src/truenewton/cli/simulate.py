@@ -49,7 +49,7 @@ def run_demo(
 
     with folder_beside(output, DEMO_FILES, overwrite=overwrite) as work:
         bench, campaign = static_bench(p45(), seed), work / "p45"
-        show("1. A campaign: P45 without and with the ring, 4 cycles of 90 shapes each (simulated)")
+        show("1. A simulated campaign: P45 under 2 loads, 4 cycles each, 45 shapes with both signs")
         write_campaign(run_cycles(bench, 4), campaign)
         write_truth(bench.truth, truth_path(campaign))
         show(f"   {output / 'p45'}", "")
@@ -63,7 +63,7 @@ def run_demo(
         show(*summary_lines(calibration))
         show(f"   {output / 'alpha.fits'}", "")
 
-        show("3. The truth beside it, since this is a simulation")
+        show("3. Comparison with the true values of the simulation")
         scores = [score(each, bench.truth) for each in (calibration, calibrate(data, "svd"))]
         lines = truth_lines(calibration, bench.truth, bench.loads, *scores)
         show(*(f"   {line}" for line in lines), "")
@@ -93,7 +93,7 @@ def run_simulate(
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Simulate a campaign with and without the ring; its truth is in OUTPUT.truth.fits."""
+    """Simulate a campaign with and without an added weight; OUTPUT.truth.fits has true values."""
     from truenewton.bench.simulated.bench import FIDELITIES
     from truenewton.bench.simulated.static import bench_of, campaign_on, truth_of
     from truenewton.bench.simulated.truth import truth_path, write_truth
@@ -113,10 +113,10 @@ def run_simulate(
         shown = with_progress(made, cycles * len(truth.loads), "cycles")
         write_campaign(shown, output, overwrite=overwrite)
         write_truth(truth, sealed, overwrite=overwrite)
-    loads, shapes = counted(truth.loads, "load"), counted(2 * len(bench.shapes), "shape")
+    loads, shapes = counted(truth.loads, "load"), counted(bench.shapes, "shape")
     line = (
-        f"{output}: {bench.mirror.name}, {loads} x {counted(cycles, 'cycle')} x {shapes};"
-        f" truth in {sealed.name}"
+        f"{output}: {bench.mirror.name}, {loads}, {counted(cycles, 'cycle')} per load, {shapes}"
+        f" with both signs; true values: {sealed.name}"
     )
     print_result([line], *((output, sealed) if quiet else ()), quiet=quiet)
 
@@ -135,7 +135,7 @@ def run_serve(
     noise: float = options.NOISE,
     fidelity: str = options.FIDELITY,
 ) -> None:
-    """Start an OPC UA server of the simulated bench on this machine, for clients with a key."""
+    """Start an OPC UA server for the simulated bench on this machine; clients need a key."""
     from truenewton.bench.opcua import require_asyncua
 
     require_asyncua()
@@ -184,7 +184,7 @@ def run_prove(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Prove numerically that the systems C and E return alpha (paper, section 4).
+    """Verify numerically that the systems C and E of the paper (section 4) recover alpha.
 
     Exit code 1 if a system does not have full rank or its error exceeds 20 eps cond.
     """
@@ -210,7 +210,7 @@ def run_prove(
 
 def run_mirrors(
     mirror: str = typer.Argument(
-        "", help="A mirror to describe: its name, or a TOML file (docs/mirrors.md)."
+        "", help="Mirror to describe: a name, or a TOML file (docs/mirrors.md)."
     ),
     plot: bool = typer.Option(
         False, "--plot", help="Draw its actuators and glass (figure 2) as PNG."
@@ -220,7 +220,7 @@ def run_mirrors(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """List the known mirrors with the sources of their numbers, or draw one."""
+    """List the known mirrors with the sources of their numbers, or describe and draw one."""
     from truenewton.figures.maps import plot_layout
     from truenewton.figures.writing import write_figure
     from truenewton.mirrors.file import whole_mirror_from

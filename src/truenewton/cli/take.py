@@ -231,9 +231,9 @@ def run_import(
     mirror: str | None = typer.Option(
         None, help="Use the positions of this mirror (name or TOML file)."
     ),
-    ids: str | None = typer.Option(None, help="IDs of the rows: 17,18,... or a file with them."),
-    dataset: str | None = typer.Option(None, help="Name of the matrix in a file with several."),
-    shell: int | None = typer.Option(None, help="Number of the shell (from 1), of several."),
+    ids: str | None = typer.Option(None, help="IDs of the rows: 17,18,... or a file of IDs."),
+    dataset: str | None = typer.Option(None, help="Name of the matrix, if there are several."),
+    shell: int | None = typer.Option(None, help="Number of the shell (from 1), if several."),
     transpose: bool = typer.Option(False, "--transpose", help="The matrix is stored transposed."),
     date: datetime.datetime | None = typer.Option(None, help="Date of the measurement (UTC)."),
     instrument: str | None = typer.Option(None, help="Name of the mirror."),
@@ -308,7 +308,7 @@ def _print_matrix(
         then = f"the same command {'without' if transpose else 'with'} --transpose"
     elif not made.balanced and output is not None:
         then = _calibrating(output)
-        lines.append(f"  {'alpha':<13}calibrate estimates it and states its verdict")
+        lines.append(f"  {'alpha':<13}not estimated: use `truenewton calibrate`")
         if made.folder:
             alpha = shlex.join([str(_alpha_of(output)), "-o", "NEW-FOLDER"])
             export = f"truenewton export {shlex.quote(made.folder)} --calibration {alpha}"

@@ -52,7 +52,7 @@ def run_report(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Write verdict, map, residuals and inputs on one page, or the change between two states."""
+    """Write one page with verdict, map, residuals and inputs, or on the change of two states."""
     from truenewton.comparison.compare import compare
     from truenewton.reading import read_alpha, read_chosen, read_compared
     from truenewton.report.findings import investigate
@@ -113,7 +113,7 @@ def run_figures(
 
 def run_modes(
     paths: list[Path] = options.paths(
-        "Cycle files with POSITION or their folder, a stiffness file."
+        "Cycle files with POSITION or their folder, or a stiffness file."
     ),
     calibration: Path | None = typer.Option(
         None, help="Calibration file; by default the data themselves are calibrated."
@@ -130,10 +130,10 @@ def run_modes(
         math.inf, help="Largest true force [N]: static force plus three sigma of turbulence."
     ),
     efficiency: float | None = EFFICIENCY,
-    off: str = typer.Option("", help="IDs of actuators without force, such as 17,18."),
-    slaved: str = typer.Option("", help="IDs that follow the others with the least force."),
+    off: str = typer.Option("", help="IDs of actuators that are switched off, such as 17,18."),
+    slaved: str = typer.Option("", help="IDs of slaved actuators, which follow the others."),
     mirror: str | None = options.MIRROR_MODEL,
-    output: Path | None = options.output("Modal base to write; matrices are written beside it."),
+    output: Path | None = options.output("Modal base to write. Matrices are written next to it."),
     figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
     segment: int | None = options.SEGMENT,
     anyway: bool = options.ANYWAY,
@@ -182,8 +182,8 @@ def run_modes(
                 written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
     shown = list(lines(found, limits))
     if output is not None and not quiet:
-        shown.append("  beside the modal base: stiffness (true, commanded), modes (ff_v_matrix),"
-                     " feed-forward (ff_matrix, ff_matrix_true)")  # fmt: skip
+        shown.append("  also written, next to the modal base: stiffness (true, commanded), modes"
+                     " (ff_v_matrix), feed-forward (ff_matrix, ff_matrix_true)")  # fmt: skip
     files: Iterable[Path | None] = written or (None,)
     if written and not quiet and (output is None or output in written):  # not of segments
         files = filter(None, (output, figures))
@@ -205,11 +205,11 @@ def _atmosphere(
     from truenewton.modal.turbulence import Atmosphere
 
     if efficiency is None and min(limits.power, limits.total) < math.inf:
-        raise typer.BadParameter("--power and --total-power need --efficiency, that of the coils")
+        raise typer.BadParameter("--power and --total-power need --efficiency (of the coils)")
     given = {"seeing": seeing, "outer_scale": outer_scale}
     known = {name: value for name, value in given.items() if value is not None}
     if diameter is None and (known or limits != Budget()):
-        raise typer.BadParameter("turbulence and limits need --diameter, that of the pupil")
+        raise typer.BadParameter("turbulence and limits need --diameter (of the pupil)")
     return Atmosphere(**known) if diameter is not None else None
 
 
@@ -218,7 +218,7 @@ def run_export(
         ..., metavar="FOLDER", help="Supervisor's folder with ff_matrix.fits and ff_list.fits."
     ),
     calibration: Path = typer.Option(..., help="Calibration file; its IDs are the channels."),
-    output: Path = options.output("Folder to write the five files and README.txt to.", ...),
+    output: Path = options.output("Folder for the five files and README.txt.", ...),
     segment: int | None = options.SEGMENT,
     anyway: bool = typer.Option(
         False, "--anyway", help="Continue even if the verdict is 'doubtful' or 'rejected'."

@@ -18,11 +18,12 @@ from truenewton.records.parts import Parts, fault_values, has_parts
 from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import counted, named, percent, row, with_error
 
+WEIGHTS_INDEPENDENT = "its error assumes two independent weighings"
 MAX_ROWS = 12  # of the table of actuators; the file contains all
 MAX_COUPLINGS = 5
 UNDETECTABLE = (
-    "a patch of glass that becomes 1 % stiffer looks like 0.1 % of alpha",
-    "the mean change of alpha, separately from that of the sensor gains",
+    "a change of 0.1 % in alpha, if a patch of the glass becomes 1 % stiffer",
+    "whether alpha or the sensor gains changed in the mean; only their product is measured",
 )
 
 
@@ -56,22 +57,27 @@ def figures(c: Comparison) -> Iterator[tuple[str, str, str]]:
     ):
         count = counted(int(changed.sum()), "actuator") if changed.any() else "none"
         error = percent(float(np.nanmedian(errors)))
-        beyond = f"{percent(scatter)} beyond noise" if scatter else "within noise"
-        others = f"scatter of the others {beyond}, error of one {error}"
-        yield f"{name} changed", count, others
+        beyond = f"{percent(scatter)} beyond noise" if scatter else "consistent with noise"
+        which = "other actuators" if changed.any() else "actuators"
+        note = f"scatter of the {which}: {beyond}; uncertainty of one: {error}"
+        yield f"{name} changed", count, note
     for actuator, sensor, size in c.couplings[:MAX_COUPLINGS]:
         where = f"actuator {actuator}, sensor {sensor}"
         yield "coupling changed", where, f"{percent(size)} of the diagonal"
     if len(c.couplings) > MAX_COUPLINGS:
         yield "", f"and {counted(len(c.couplings) - MAX_COUPLINGS, 'coupling')} more", ""
-    yield "noise", percent(c.relative_noise), f"of the rms element, independent {c.noise_law}"
+    yield (
+        "noise",
+        percent(c.relative_noise),
+        f"of the rms matrix element, independent {c.noise_law}",
+    )
     if np.isfinite(c.excess):
         yield "residual / repeat", f"{c.excess:.2f}", "1 if only factors changed"
     for name, ids in (
         ("only in the old matrix", c.matching.only_old),
         ("only in the new matrix", c.matching.only_new),
-        ("no such row any more", c.matching.lost_rows),
-        ("no such column any more", c.matching.lost_columns),
+        ("row only in the old", c.matching.lost_rows),
+        ("column only in the old", c.matching.lost_columns),
     ):
         if ids:
             yield name, named("actuator", ids, MAX_ROWS), "not compared"
@@ -99,7 +105,7 @@ def _lines_of_calibrations(c: Change) -> Iterator[str]:
     compared = int(np.isfinite(c.sigmas).sum())
     yield f"{c.one.instrument}: two calibrations, {counted(compared, 'actuator')} compared"
     if not c.segments:
-        error = "its error is that of the weights" if np.isfinite(c.ratio_error) else ""
+        error = WEIGHTS_INDEPENDENT if np.isfinite(c.ratio_error) else ""
         ratio = with_error(c.ratio, c.ratio_error) if error else f"{c.ratio:.4f}"
         yield row("common factor", ratio, error)
     changed = counted(c.changed, "actuator") if c.changed.size else "none"
@@ -109,7 +115,7 @@ def _lines_of_calibrations(c: Change) -> Iterator[str]:
         yield f"  {c.layout.shown[k]:<12}{size:+.2f} %, {sigmas:+.1f} sigma"
     if len(c.changed) > MAX_ROWS:
         yield f"  and {len(c.changed) - MAX_ROWS} more"
-    yield "  Two stiffness matrices would show smaller changes, and those of the sensors."
+    yield "  To detect smaller changes, and changes of the sensors, compare two stiffness matrices."
 
 
 def _couplings(c: Comparison) -> list[dict[str, Any]]:

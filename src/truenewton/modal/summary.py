@@ -54,8 +54,8 @@ def measured_text(measured: MeasuredStiffness) -> str:
     """Return the number of shapes and rows of a stiffness, and its error."""
     m = measured
     return (
-        f"{counted(m.shapes, 'shape')}, {counted(m.rows, 'row')}"
-        + (f"; repeats to {percent(m.relative_error)}" if math.isfinite(m.relative_error) else "")
+        f"{counted(m.shapes, 'shape')} (those of each load), {counted(m.rows, 'row')}"
+        + (f"; uncertainty {percent(m.relative_error)}" if math.isfinite(m.relative_error) else "")
         + (f", chi2/DOF {m.misfit:.3g}" if math.isfinite(m.misfit) else "")
         + (f"; {counted(m.rejected, 'row')} left out" if m.rejected else "")
     )
@@ -65,7 +65,7 @@ def rigid_text(measured: MeasuredStiffness) -> str:
     """Return the number of rigid motions that no shape contains; empty if there are none."""
     if not measured.rigid_assumed:
         return ""
-    return f"{measured.rigid_assumed} of 3 rigid motions are in no shape: assumed to need no force"
+    return f"{measured.rigid_assumed} of 3 rigid motions, in no shape: assumed to need no force"
 
 
 def sensor_gains_text(base: ModalBase) -> str:
@@ -86,17 +86,18 @@ def comparison_text(findings: ModalFindings) -> str:
     if not c.orders.size:
         return "the same subspace: all have nearly the same stiffness"
     worst = int(c.largest_angle.argmax())
+    order = int(c.orders[worst])
+    where = "mode 1" if order == 1 else f"between the subspaces of the first {order} modes"
     return (
         f"rotated by {math.degrees(c.distance):.2g} deg rms; worst:"
-        f" {math.degrees(c.largest_angle[worst]):.2g} deg, between the subspaces of the first"
-        f" {counted(int(c.orders[worst]), 'mode')}"
+        f" {math.degrees(c.largest_angle[worst]):.2g} deg, {where}"
     )
 
 
 def turbulence_text(base: ModalBase) -> str:
     """Return the turbulence and the size of the mirror; why there is none without a pupil."""
     if base.seen is None:
-        return "not computed: give --diameter, that of the telescope's pupil in metres"
+        return "not computed: give --diameter, the diameter of the telescope's pupil in metres"
     a, pupil = base.seen.atmosphere, base.seen.pupil
     return (
         f"seeing {a.seeing:g} arcsec, r0 {100 * a.fried_parameter:.3g} cm, L0"
@@ -109,7 +110,7 @@ def fitting_error_text(base: ModalBase) -> str:
     """Return the wavefront that no modes correct; empty without turbulence."""
     if base.seen is None:
         return ""
-    return f"{1e9 * base.seen.fitting_error:.3g} nm rms of wavefront that no mode corrects"
+    return f"{1e9 * base.seen.fitting_error:.3g} nm rms of wavefront, which no mode corrects"
 
 
 def static_force_text(base: ModalBase) -> str:
@@ -154,10 +155,10 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
         ("", rigid_text(measured) if measured else ""),
         ("", f"{'alpha = 1':<12}calibrated"),
         ("  asymmetry", f"{asymmetry}K - K' relative to K"),
-        ("  imbalance", f"{imbalance}of the forces of its columns"),
-        ("piston and tilts", f"{rigid} N/m (0 without bias magnets)"),
+        ("  imbalance", f"{imbalance}of the columns of K, relative to their forces"),
+        ("piston and tilts", f"{rigid} N/m (expected without bias magnets: 0)"),
         ("elastic modes", f"{elastic.min():.3g} .. {elastic.max():.3g} N/m"
-         + (f"; {negative} negative, by bias magnets or measurement errors" if negative else "")),
+         + (f"; {negative} negative (bias magnets or measurement errors)" if negative else "")),
         ("sensor gains", sensor_gains_text(base)),
         ("modes with alpha = 1", comparison_text(findings)),
         ("turbulence", turbulence_text(base)),
@@ -224,7 +225,7 @@ def _within(findings: ModalFindings, limits: Budget) -> list[str]:
         if number:
             words += f", residual {1e9 * cost.residual[number - 1]:.3g} nm"
         if fewest != most:
-            words += f"; {fewest} to {most} within the error of alpha"
+            words += f"; within the error of alpha: {fewest} to {most}"
         if uncalibrated is not None:
             words += f"; with alpha = 1: {uncalibrated.modes_within(limits)}"
         lines.append(f"    {cost.base:<22}{words}")

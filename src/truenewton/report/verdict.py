@@ -14,7 +14,7 @@ from truenewton.calibration.summary import MEANINGS, summary_rows
 from truenewton.calibration.verdict import without_unusable
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.result import AnyChange, Comparison
-from truenewton.comparison.summary import figures
+from truenewton.comparison.summary import WEIGHTS_INDEPENDENT, figures
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale, typical
@@ -69,7 +69,7 @@ def headline_of(findings: Reported) -> Headline:
     if not on.all():
         disabled = named("actuator", c.layout.shown[~on].tolist(), 8)
         which = f"{on.sum()} of the {which.removeprefix('all ')} ({disabled} disabled)"
-    sentence = f"{known} of {which} is known, typically to {percent(typical(c.error, c.alpha))}."
+    sentence = f"{known} of {which} has a typical error of {percent(typical(c.error, c.alpha))}."
     remedies = dict.fromkeys(note.remedy for note in c.verdict.notes)
     for words in (*(note.fault for note in c.verdict.notes), *filter(None, remedies)):
         sentence += f" {as_sentences(Fault(words, ''))}"
@@ -86,8 +86,8 @@ def _on_parts(c: Parts[Calibration]) -> Headline:
     error = typical(errors[known], alpha[known])
     part = f"{len(c.found)} of" if c.failed else "all"
     sentence = (
-        f"Alpha of {part} {counted(c.numbers, 'segment')} of {c.instrument} is known"
-        f" ({counted(int(known.sum()), 'actuator')}), typically to {percent(error)}."
+        f"Alpha of {part} {counted(c.numbers, 'segment')} of {c.instrument}"
+        f" ({counted(int(known.sum()), 'actuator')}) has a typical error of {percent(error)}."
     )
     of_each = {n: typical(one.error, one.alpha) for n, one in c.found.items()}
     worst = max(of_each, key=lambda n: of_each[n])
@@ -116,19 +116,19 @@ def _on_change(change: Change) -> Headline:
     advice: list[Fault] = []
     if changed.size:
         level, title = Level.DOUBTFUL, "Changed"
-        sentence = f"{changed.size} {words}, which happens by chance in 1 % of comparisons."
+        sentence = f"{changed.size} {words} (by chance in 1 % of comparisons)."
         advice.append(
             Fault(
                 f"changed: {named('actuator', ids[changed].tolist(), 8)}",
-                "calibrate again before use, unless the change is known, as after a replacement",
+                "calibrate again before use, unless the cause is clear, such as a replacement",
             )
         )
     one, other = ({s.sha256 for s in sources_of(c)} for c in (change.one, change.other))
     if one == other:  # a recalibration has files of its own beside those it inherits
         advice.append(
             Fault(
-                "both calibrations rest on the same files, so most of their errors are common",
-                "the changes are those of the method; they scatter by less than a sigma",
+                "both calibrations use the same files, so most of their errors are common",
+                "the changes are those of the method, and they scatter by less than a sigma",
             )
         )
     farthest = int(np.nanargmax(np.abs(change.sigmas)))
@@ -168,7 +168,7 @@ def _on_comparison(c: Comparison | Parts[Comparison]) -> Headline:
             name = "alpha" if what == "alpha" else "sensor gain"
             advice.append(Fault(f"{name} changed: {named('actuator', some, 8)}", remedy))
     if couplings:
-        sentence += f" {counted(couplings, 'coupling')} changed without its row and column."
+        sentence += f" {counted(couplings, 'single coupling')} changed."
     numbers = tuple(islice(figures(c), 3)) if isinstance(c, Comparison) else ()
     shown = _headline(c.verdict, sentence, numbers)
     return replace(shown, advice=(*advice, *shown.advice))
@@ -191,5 +191,5 @@ def _ratio(change: Change) -> tuple[str, str, str]:
     name = "common ratio, second to first"
     if np.isfinite(change.ratio_error):
         return (name, with_error(change.ratio, change.ratio_error),
-                "removed; its error is that of the weights")  # fmt: skip
+                f"removed; {WEIGHTS_INDEPENDENT}")  # fmt: skip
     return name, f"{change.ratio:.4f}", "removed; the scale of one is a convention"

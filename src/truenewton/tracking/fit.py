@@ -217,24 +217,29 @@ def _settings(
     warm, late = np.ptp(temperatures) > SAME_TEMPERATURE, days[-1].date - first > SAME_TIME
     limits: tuple[str, ...] = ()
     if not np.isfinite(temperature):
-        limits += ("no day has a temperature: the drift includes effects of temperature",)
+        limits += (
+            "no calibration has a temperature, so the drift includes effects of temperature",
+        )
     elif not warm:
-        limits += ("all days are at one temperature: the temperature coefficient is not known",)
+        limits += (
+            "all calibrations have the same temperature, so the temperature coefficient is not"
+            " determined",
+        )
     if warm and late:
         centred = time - time.mean()
         slope = (away @ centred) / (away @ away)
         if np.sum((centred - slope * away) ** 2) < MIN_INDEPENDENT_FRACTION * np.sum(centred**2):
             late = False
             limits += (
-                "temperature and time changed together: all changes are assigned to temperature,"
-                " and the drift is not known",
+                "temperature and time changed together, so all changes are assigned to temperature,"
+                " and the drift is not determined",
             )
     elif not late:
-        limits += ("all data are of one day: the drift is not known",)
+        limits += ("all data were taken on one day, so the drift is not determined",)
     if not (warm or late):
         raise RankDeficient(
-            "all calibrations are of one day and one temperature",
-            remedy="add one of another day or temperature",
+            "all calibrations have the same date and temperature",
+            remedy="add a calibration of another day or temperature",
             path=days[-1].name,
         )
     settings = {"temperature": away} if warm else {}
@@ -279,19 +284,19 @@ def _limits_of(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], scatter: Scatter, effects: int
 ) -> Iterator[str]:
     if len(weight_groups(days)) > 1:
-        yield "weights or their errors differ between days: their errors are independent"
+        yield "weights or their errors differ between days, so their errors are independent"
     if not on.all():
         count = counted(int(np.count_nonzero(~on)), "actuator")
-        yield f"left out, since not enabled on every day: {count}"
+        yield f"left out, because not enabled on every day: {count}"
     if not scatter.degrees:
         yield (
-            f"{counted(days, 'day')} only determine the {1 + effects} unknowns of each line:"
-            " scatter from day to day is not known, and assumed to be zero"
+            f"{counted(days, 'calibration')} determine only the {1 + effects} unknowns of each"
+            " line, so the scatter between calibrations is assumed to be zero"
         )
     elif scatter.degrees < MIN_SCATTER_DEGREES:
         yield (
-            f"scatter common to all actuators has only {counted(scatter.degrees, 'degree')} of"
-            " freedom: errors are enlarged for it; more days would determine it better"
+            f"the scatter common to all actuators has only {counted(scatter.degrees, 'degree')} of"
+            " freedom, so errors are enlarged; more calibrations reduce them"
         )
 
 

@@ -21,7 +21,7 @@ UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
     "temperature": "temperature coefficient {} sigma from the population",
     "drift": "drift {} sigma from the population",
-    "line": "its days are {} sigma from a line",
+    "line": "its calibrations are {} sigma from a line",
 }
 
 
@@ -64,7 +64,7 @@ def summary_rows(tracking: Tracking) -> Iterator[tuple[str, str]]:
     for population in t.populations:
         unit, (low, high) = UNITS[population.effect], population.spread_interval
         mean = with_error(100 * population.mean, 100 * population.mean_error)
-        within = f"95 % interval {100 * low:.2g} .. {100 * high:.2g}"
+        within = f"95 % interval {100 * low:.2g} to {100 * high:.2g} {unit}"
         yield (f"{population.effect}, mean", f"{mean} {unit}")
         yield ("  spread of actuators", f"{100 * population.spread:.2g} {unit}, {within}")
     if t.scatter_degrees:
@@ -88,8 +88,8 @@ def remarks(tracking: Tracking) -> Iterator[str]:
         yield "no outliers (false alarms on at most 1 % of mirrors)"
     if t.probability < 1e-3:
         yield (
-            "warning: The days do not lie on lines within their errors. Look at the figures, and"
-            " for other changes between the days."
+            "warning: The calibrations do not lie on lines within their errors. Look at the"
+            " figures, and look for other changes between the days."
         )
     for limit in t.limits:
         yield f"limit: {as_sentences(Fault(limit, ''))}"
@@ -114,11 +114,11 @@ def _validity_lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]
     wanted = f"{100 * v.accuracy:.2g} %"
     latest = _span(v, v.temperatures, v.until)
     if v.now > v.accuracy:
-        latest = f"never: its readings alone give {100 * v.now:.2g} %"
+        latest = f"never: its statistical error is {100 * v.now:.2g} %"
     law = _span(v, v.law_temperatures, v.law_until)
-    yield f"  the latest calibration is valid to {wanted} {latest}"
-    yield f"  this law is valid to {wanted} {law or 'never'}"
-    yield "  Errors of the weights are not included, because the same weights would repeat them."
+    yield f"  alpha of the latest calibration is valid to {wanted} {latest}"
+    yield f"  alpha corrected for temperature and time is valid to {wanted} {law or 'never'}"
+    yield "  These limits do not include the errors of the weights, which the same weights repeat."
 
 
 def _span(
@@ -126,7 +126,7 @@ def _span(
 ) -> str:
     parts = []
     if temperatures is not None:
-        ends = " (limit of the days)" if set(temperatures) & set(v.reach or ()) else ""
+        ends = " (range of the data)" if set(temperatures) & set(v.reach or ()) else ""
         parts.append(f"from {temperatures[0]:.1f} to {temperatures[1]:.1f} deg C{ends}")
     if until is not None:
         ends = " (limit of extrapolation)" if until == v.reach_until else ""

@@ -228,10 +228,10 @@ def shifted_coils(fit: FittedRows) -> Array | None:
 # Each effect changes the balance of groups, (g, 3, K), by its usual size; None if the error budget
 # contains it.
 UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Array | None]] = {
-    "5 mN of an added weight rests on something else": supported,
-    "all force zeros shift under a load by 10 % of the noise of a reading": zero_by_load,
-    "the bias magnets are 1 K warmer under a load": warmer_magnets,
-    "the coils move by 5 um as the mirror leans": shifted_coils,
+    "something else supports 5 mN of an added weight": supported,
+    "all force zeros shift under one load by 10 % of the noise of a reading": zero_by_load,
+    "the bias magnets are 1 K warmer under one load": warmer_magnets,
+    "the coils move by 5 um when the mirror is tilted": shifted_coils,
 }
 STATIC_GAIN = "coil gains differ by 1 % between static and elastic forces"
 

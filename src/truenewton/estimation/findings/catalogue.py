@@ -53,15 +53,20 @@ def _of_silent(name: str, remedy: str) -> Entry:
 
 _MORE_SIGNAL = "repeat more often, use larger forces, or add shapes"
 _GIVE_MIRROR = (
-    "name the mirror (--mirror) unless you did, and check the positions and order of the sensors"
+    "if you did not, name the mirror (--mirror). Check the positions and order of the sensors"
 )
 _CHECK_WEIGHT = (
-    "check WEIGHT and its unit (N: kilograms times -9.81), and those of FORCE; B has the same"
-    " error, and if a load is tilted, alpha is wrong too"
+    "check WEIGHT and its unit (N: kilograms times -9.81), and the unit of FORCE. B has the same"
+    " error. If a load is tilted, alpha is wrong as well"
 )
-_DISABLE = "set ENABLED to F if it exerts no force"
-_IN_ORDER = "put the columns of {detail} in that file in the order of ACTUATORS, or leave it out"
+_DISABLE = "If it exerts no force, set ENABLED to F"
+_IN_ORDER = (
+    "put the columns of {detail} in that file in the order of ACTUATORS, or leave the file out"
+)
 ORDER_OF_BOTH = "put the columns of FORCE and POSITION in the order of the ACTUATORS table"
+_GRADIENTS = (
+    "do not rely on large-scale gradients of alpha. Cycles under known weights constrain them"
+)
 _FROZEN_ROWS = "leave the file out, or mark the rows that repeat the previous row as not VALID"
 _LABELS = "correct SHAPE and SIGN of the file, or leave it out"
 
@@ -90,19 +95,19 @@ ENTRIES: dict[Code, Entry] = {
     Code.CORRELATED_NOISE: Entry("correlated noise"),
     Code.TEMPERATURE_BETWEEN_LOADS: Entry("temperature between the loads", level=Level.USABLE),
     Code.DEAD_NO_FORCE: _of_silent(
-        "dead actuator, no force is commanded", f"check its coil, driver and cable; {_DISABLE}"
+        "dead actuator, no force is commanded", f"check its coil, driver and cable. {_DISABLE}"
     ),
     Code.DEAD_ALPHA_ZERO: _of_silent("dead actuator, alpha is 0", "check its coil and magnet"),
-    Code.STUCK_READING: _of_silent("stuck reading", f"check its electronics; {_DISABLE}"),
+    Code.STUCK_READING: _of_silent("stuck reading", f"check its electronics. {_DISABLE}"),
     Code.NEGATIVE_ALPHA: Entry(
         "alpha is negative, the poles are exchanged",
         level=Level.USABLE,
-        remedy="exchange the poles of its cable, or the sign of its column of FORCE",
+        remedy="exchange the poles of its cable, or reverse the sign of its column of FORCE",
     ),
     Code.FROZEN_SENSOR: Entry(
         "frozen sensor",
         level=Level.USABLE,
-        remedy="check its electronics, and leave the files out if POSITION is needed",
+        remedy="check its electronics. If you need POSITION, leave these files out",
     ),
     Code.ACTUATOR_OFF: Entry("actuator is off", cured="left out"),
     Code.ACTUATOR_MISFIT: Entry("actuator does not fit", cured="left out"),
@@ -112,7 +117,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.OTHER_UNIT: _of_input("{} in another unit", "correct the unit of {detail} in that file"),
     Code.OTHER_SIGN: _of_input(
         "{} of the other sign",
-        "reverse the sign of {detail} in that file, or leave it out; check the plug, and"
+        "reverse the sign of {detail} in that file, or leave the file out. Check the plug, and"
         " the order of SHAPE and SIGN",
     ),
     Code.OTHER_LOAD: _of_input("wrong LOAD of a file", "correct LOAD of the file, or remove it"),
@@ -126,18 +131,18 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.TWO_MIRRORS: _of_input(
         "files of two mirrors, campaigns or lists of shapes",
-        "calibrate only files of one mirror with the same shapes, without an actuator"
-        " replaced in between; or mark as not VALID the rows in which the load was not on",
+        "calibrate only files of one mirror with the same shapes, taken without replacing an"
+        " actuator. If the load was not on the mirror in some rows, mark them as not VALID",
     ),
     Code.CONSTANT_POSITION: _of_input(
         "POSITION is the same in all rows",
-        "remove the column if no sensors were read; COILGRAD and BIASGRAD are then not used",
+        "if no sensors were read, remove the column. COILGRAD and BIASGRAD are then not used",
     ),
     Code.UNUSABLE_CALIBRATION: _of_input("earlier calibration that was rejected"),
     Code.SIGN_REVERSED: _of_rows("SIGN reversed", _LABELS),
-    Code.SHAPE_OFFSET: _of_rows("SHAPE counted from another one", _LABELS),
+    Code.SHAPE_OFFSET: _of_rows("SHAPE numbered from another start", _LABELS),
     Code.OTHER_LABELS: _of_rows("SHAPE and SIGN label other rows", _LABELS),
-    Code.FROZEN_READING: _of_rows("frozen reading", f"{_FROZEN_ROWS}; check its electronics"),
+    Code.FROZEN_READING: _of_rows("frozen reading", f"{_FROZEN_ROWS}. Check its electronics"),
     Code.FROZEN_READINGS: _of_rows("frozen readings", _FROZEN_ROWS),
     Code.CLIPPED_READINGS: _of_rows(
         "readings cut off at a limit",
@@ -160,33 +165,33 @@ ENTRIES: dict[Code, Entry] = {
         " were removed"
     ),
     Code.WEAK_PATTERNS: _usable(
-        "poorly determined: {count:count pattern} of alpha; the weakest is {weakest}",
+        "the data determine {count:count pattern} of alpha poorly; the weakest is {weakest}",
         "repeat more often, use larger forces, or add a stiffness matrix",
     ),
     Code.CONSTRAINED_PATTERNS: _usable(
-        "not determined by the data: {count:count pattern} of alpha; alpha is assumed to be uniform"
-        " along each, with an rms uncertainty of {error:percent}",
-        "use E_ALPHA, and COVARIANCE for differences along other patterns",
+        "the data do not determine {count:count pattern} of alpha; along each, alpha is assumed to"
+        " be uniform, with an rms uncertainty of {error:percent}",
+        "use E_ALPHA. For differences along other patterns, use COVARIANCE",
     ),
     Code.NO_LOAD_SEEN: _rejected(
-        "the forces are the same under all loads, so the added weight does not show in them",
+        "the forces are the same under all loads, so they do not contain the added weight",
         "check that each load was on the mirror in the files with its name, and check ADDED,"
         " BIASGRAD and COILGRAD",
     ),
     Code.ONE_LOAD: _fact(
         Level.NONE,
-        "there is only one load, '{load}', so the common scale is free",
+        "there is only one load, '{load}', so the common scale is not determined",
         "add cycles under a load of another known weight",
     ),
     Code.EQUAL_LOADS: _fact(
         Level.NONE,
-        "the {count} loads have the same weight, so the common scale is free",
+        "the {count} loads have the same weight, so the common scale is not determined",
         "check ADDED and TILT, or add a load that differs",
     ),
     Code.SIMILAR_LOADS: _usable(
-        "the loads differ by no more than {difference:.2g} N of {largest:.3g} N, and only this"
-        " difference fixes the common scale",
-        "take a load that differs by a tenth of the mirror's weight; more shapes do not help",
+        "only the difference between the loads, {difference:.2g} N of {largest:.3g} N, fixes the"
+        " common scale",
+        "use a load that differs by a tenth of the mirror's weight. More shapes do not help",
     ),
     Code.NO_OTHER_LOAD: _rejected(
         "all loads have the same weight, so the common scale is not determined",
@@ -199,11 +204,11 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.DATES_APART: _usable(
         "DATE-OBS of {files:list} is {days:.0f} days from that of the other files",
-        "correct DATE-OBS, which is used to find drifts; or calibrate only files taken together",
+        "correct DATE-OBS, which is used to find drifts, or calibrate only files taken together",
     ),
     Code.TEMPERATURE_IMPLAUSIBLE: _usable(
         "the mean TEMPERATURE is {temperature:.3g} deg C",
-        "check its unit: 20 deg C is 68 in Fahrenheit",
+        "check the unit of TEMPERATURE: 20 deg C is 68 deg F",
     ),
     Code.SIZE_IMPLAUSIBLE: _usable("{fault}", "{advice}"),
     Code.WEIGHT_ABOVE_FORCES: _doubtful(
@@ -222,30 +227,29 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.WEIGHTS_WITHOUT_ERRORS: _usable(
         "the weights are given without errors{which}: the common scale has no stated error. An"
-        " error of the added weight by 1 % changes every alpha by 1 %",
+        " error of 1 % in the added weight changes every alpha by 1 %",
         "write the standard uncertainties of the weighing into the files (E_WEIGHT and E_ADDED in"
         " N, E_TILT in degrees)",
     ),
     Code.SCALE_BY_WEIGHTS: _usable(
         "the uncertainty of the common scale is {error:percent}{share}",
-        "weigh more accurately; more cycles do not help",
+        "weigh the loads more accurately. More cycles do not help",
     ),
     Code.ALPHA_FAR_FROM_ONE: _rejected(
-        "alpha is about {alpha}, and would be near 1 if all values were in N. Possible causes:"
-        " {looks}"
+        "alpha is about {alpha}. If all values are in N, alpha is near 1. Possible causes: {looks}"
     ),
     Code.NOISE_ABOVE_DECLARED: _usable(
         "repeated shapes scatter by {noise:.2g} mN, {ratio:.3g} times FORCERR",
         "find what moves the mirror or the readings between repeats, and correct FORCERR",
     ),
     Code.FORCE_STEPS: _usable(
-        "FORCE comes in steps of {step:.3g} mN, which cause most of its noise: E_STAT includes"
-        " {noise:.2g} mN, step / root 12",
+        "FORCE has steps of {step:.3g} mN. They cause most of its noise: E_STAT includes"
+        " {noise:.2g} mN, step / sqrt(12)",
         "if you need smaller errors, record FORCE in finer steps or as means of several readings",
     ),
     Code.ZEROS_RESET: _usable(
-        "the zeros of {sensors:count sensor} were reset between files: they are read relative to"
-        " the mean of each file, and E_STAT does not include motion between files",
+        "the zeros of {sensors:count sensor} were reset between files. Readings are therefore taken"
+        " relative to the mean of each file, and E_STAT does not include motion between files",
         "do not reset the sensors during a campaign",
     ),
     Code.MISFIT: _doubtful(
@@ -255,21 +259,21 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.MISFIT_EXPLAINED: _doubtful(
         "the model fits the data only with the effects that were found: E_STAT includes the"
-        " change of alpha by them",
-        "find out which of them is real (docs/effects.md)",
+        " resulting change of alpha",
+        "find out which of these effects is real (docs/effects.md)",
     ),
     Code.GLASS_NOT_MODELLED: _usable(
-        "sensors that average over an area were taken as points: alpha may be wrong by about"
+        "sensors that average over an area were modelled as points: alpha may be wrong by about"
         " {model:percent}, and E_STAT, typically {error:percent}, does not include this",
         "give --mirror, so that the glass is modelled, or use --method ml",
     ),
     Code.EFFECT_WITHOUT_POSITION: _doubtful(
-        "no cycle contains POSITION, so a gradient of the coils can be mistaken for the effects"
-        " that were found: alpha and its errors may be wrong",
-        "record what the sensors read as POSITION before you look for another cause",
+        "no cycle contains POSITION, so a coil gradient can look like the effects that were found:"
+        " alpha and its errors may be wrong",
+        "record the sensor readings as POSITION before you look for another cause",
     ),
     Code.MISFIT_OF_SVD: _doubtful(
-        "the imbalance of the shapes is {factor:.2g} times what their noise explains",
+        "the imbalance of the shapes is {factor:.2g} times its expected noise",
         "use method ml, which looks for effects of the bench",
     ),
     Code.MISFIT_SENSELESS: _rejected(
@@ -282,7 +286,7 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.ROWS_REJECTED: _usable(
         "{count:count row} did not fit and {was} left out{farthest}",
-        "check the residuals, and an actuator that is named repeatedly",
+        "check the residuals, and any actuator that is named repeatedly",
     ),
     Code.MANY_ROWS_REJECTED: _doubtful(
         "{share:percent} of the rows do not fit", "find out what happened during the run"
@@ -303,7 +307,7 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.MANY_SILENT: _rejected(
         "{count} of {n} actuators are dead or have stuck readings",
-        "check their drivers and readout; set ENABLED to F for actuators without force",
+        "check their drivers and readout. If actuators exert no force, set their ENABLED to F",
     ),
     Code.MANY_NEGATIVE: _rejected(
         "alpha is negative for {count} of {n} actuators",
@@ -316,26 +320,25 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.ALPHA_ZERO: _usable(
         "{actuators:names actuator}: dead, alpha is {alpha}",
-        f"check its coil and magnet; {_DISABLE}",
+        f"check its coil and magnet. {_DISABLE}",
     ),
     Code.ALPHA_OUTLIER: _usable(
         "{actuators:names actuator}: outlier, alpha is {alpha}",
         "check its coil, magnet and wiring",
     ),
     Code.STIFFNESS_UNIT: _usable(
-        "STIFFNESS looks like {unit}: its median diagonal element is {own:.2g}, that of mirrors"
-        " about {usual:.0e} N/m",
-        "store it in N/m: the unit changes the stiffness of modes, but not relative alpha",
+        "STIFFNESS seems to be in {unit}: its median diagonal element is {own:.2g}, and mirrors"
+        " have about {usual:.0e} N/m",
+        "store STIFFNESS in N/m. The unit changes the stiffness of modes, but not relative alpha",
     ),
     Code.LOOKS_TRANSPOSED: _doubtful(
         "STIFFNESS looks transposed: the rigid-body residual is larger than the column imbalance",
         "store the force of actuator i per displacement of sensor j as element [i, j]",
     ),
     Code.COLUMN_NOISE_NOT_INDEPENDENT: _usable(
-        "the imbalance of the columns of STIFFNESS is not independent noise of their elements, so"
-        " alpha was estimated from the elastic modes, each with its own scatter",
-        "do not rely on large-scale gradients of alpha; cycles under known weights would constrain"
-        " them",
+        "the imbalance of the columns of STIFFNESS is not independent noise of their elements."
+        " Alpha was therefore estimated from the elastic modes, each with its own scatter",
+        _GRADIENTS,
     ),
     Code.HALVES_INSUFFICIENT: _doubtful(
         "cross-validation is not possible because half of the modes do not constrain alpha: {fault}"
@@ -343,8 +346,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.HELD_OUT_IMBALANCE: _doubtful(
         "held-out modes are unbalanced by up to {held_out:percent} of their force, fitted modes by"
         " {fitted:percent}",
-        "do not rely on large-scale gradients of alpha; cycles under known weights would constrain"
-        " them",
+        _GRADIENTS,
     ),
     Code.HARMFUL_ALPHA: _rejected(
         "held-out modes balance worse with alpha ({after:percent} of their force) than with alpha ="
@@ -353,7 +355,7 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.MISFITS_KEPT: _doubtful(
         "{fault}; no actuator was left out",
-        "{advice}, and gains and positions of the sensors; compare the balance of held-out modes",
+        "{advice}, and gains and positions of the sensors. Compare the balance of held-out modes",
     ),
     Code.MANY_MISFITS: _doubtful(
         "{count} of {n} actuators do not fit the others: {actuators:names actuator}",
@@ -376,7 +378,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.SYMMETRY_NOT_IMPROVED: _doubtful(
         "alpha does not make the matrix more symmetric: asymmetry {before:percent} before,"
         " {after:percent} after",
-        "check positions and order of the sensors; compare with a second measurement",
+        "check positions and order of the sensors. Compare with a second measurement",
     ),
     Code.COHERENT_IMBALANCE: _doubtful(
         "{share:percent} of the imbalance of the columns is not noise: it has the pattern of an"
@@ -391,7 +393,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.GAINS_HAVE_GRADIENT: _doubtful(
         "the sensor gains that symmetry implies have a gradient across the mirror ({sigmas:.2g}"
         " sigma), as if the positions were stretched to one side",
-        "check X and Y of the actuators; a campaign with known weights would constrain it",
+        "check X and Y of the actuators. A campaign with known weights constrains the gradient",
     ),
     Code.GAINS_FOLLOW_ALPHA: _doubtful(
         "the sensor gains that follow from the symmetry of the matrix are correlated with alpha"
@@ -402,7 +404,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.SEGMENTS_COUPLED: _doubtful(
         "the segment is coupled to others by {size:.2g} N/m rms; its own elements are {own:.2g} N/m"
         " rms",
-        "correct SEGMENT, or the order of STIFFNESS; bodies that are joined do not balance"
+        "correct SEGMENT, or the order of STIFFNESS. Segments that are joined do not balance"
         " separately",
     ),
     Code.RECIPROCITY_NOT_USED: _fact(
@@ -423,25 +425,29 @@ ENTRIES: dict[Code, Entry] = {
         " {error:percent} typically, those of ml {of_balance:percent}",
         "find out how the matrix was processed, and give it as it was measured",
     ),
-    Code.EFFECT_PRESENT: _doubtful("the data show {effect}", "correct that first"),
+    Code.EFFECT_PRESENT: _doubtful("the data show {effect}", "correct this effect first"),
     Code.ESTIMATE_FAILED: _doubtful("{fault}"),
     Code.INTERRUPTED: _usable("the fit was interrupted", "let it finish, or choose --method ml"),
-    Code.MISFIT_ACTUATORS: _doubtful("{count:count actuator} or more violate it", _GIVE_MIRROR),
+    Code.MISFIT_ACTUATORS: _doubtful(
+        "{count:count actuator} or more violate reciprocity", _GIVE_MIRROR
+    ),
     Code.TRANSPOSED: _doubtful(
-        "STIFFNESS looks transposed, and it would then confuse alpha with sensor gains",
+        "STIFFNESS looks transposed, and reciprocity would confuse alpha with sensor gains",
         "store the force of actuator i per displacement of sensor j as element [i, j]",
     ),
     Code.SHARED_NOISE: _doubtful(
-        "the readings of many actuators have common noise, but it assumes independent noise",
+        "the readings of many actuators have common noise, but reciprocity assumes independent"
+        " noise",
         "find what moves the mirror",
     ),
     Code.UNTESTED_SIZE: _doubtful(
-        "its errors were not validated for {count:count actuator}: force noise may make them too"
-        " small",
+        "the errors of reciprocity were not validated for {count:count actuator}: force noise may"
+        " make them too small",
         "compare two campaigns",
     ),
     Code.EQUATIONS_MISFIT: _doubtful(
-        "the residual of its fit is {factor:.2g} times the noise of {block}", _GIVE_MIRROR
+        "the residual of the reciprocity fit is {factor:.2g} times the noise of {block}",
+        _GIVE_MIRROR,
     ),
     Code.HELD_OUT_WORSE: _doubtful(
         "held-out modes are unbalanced by {held_out:percent} of their force with reciprocity, and"
@@ -453,18 +459,19 @@ ENTRIES: dict[Code, Entry] = {
         _GIVE_MIRROR,
     ),
     Code.ERRORS_LARGER: _doubtful(
-        "its typical error would be {error:percent}, that of ml is {of_balance:percent}",
+        "the typical error of reciprocity would be {error:percent}, and that of ml is"
+        " {of_balance:percent}",
         _GIVE_MIRROR,
     ),
     Code.SENSORS_FAR: _doubtful(
         "the sensors would have to be {offset:.2g} mm from their magnets", _GIVE_MIRROR
     ),
     Code.PLANNED_WEAK_PATTERNS: _usable(
-        "{count:count pattern} of alpha will be hardly above the noise", _MORE_SIGNAL
+        "{count:count pattern} of alpha will be barely above the noise", _MORE_SIGNAL
     ),
     Code.PLANNED_REFUSAL: _fact(
         Level.NONE,
-        "{count:count pattern} of alpha will be hardly above the noise, so `calibrate` will refuse"
+        "{count:count pattern} of alpha will be barely above the noise, so `calibrate` will refuse"
         " the campaign",
         _MORE_SIGNAL,
     ),
@@ -486,7 +493,7 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.PAIR_PATTERN: _fact(
         Level.DOUBTFUL,
-        "the change is not only factors of actuators and sensors: the largest other pattern is"
+        "the change is more than factors of actuators and sensors: the largest other pattern is"
         " {pattern:.2f} times its expected noise",
         "check whether rigid-body modes or stiff modes were removed from one matrix, and whether"
         " the mirror, its gap or its temperature differed",
@@ -510,8 +517,8 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.PAIR_EXCESS: _fact(
         Level.DOUBTFUL,
-        "what factors of actuators and sensors leave is {excess:.1f} times as large as the scatter"
-        " of the repeat",
+        "the change that remains after factors of actuators and sensors is {excess:.1f} times the"
+        " scatter of the repeat",
         "check whether the glass changed, and whether temperature and noise were those of the"
         " repeat",
     ),
@@ -530,6 +537,7 @@ _PLAIN = {
     entry.name: code for code, entry in ENTRIES.items() if entry.name and "{}" not in entry.name
 }
 _EARLIER = {
+    "SHAPE counted from another one": (Code.SHAPE_OFFSET, ""),
     "exchanged columns": (Code.EXCHANGED_COLUMNS, "FORCE"),
     "load put on anew by file": (Code.LOAD_REPOSITIONED, ""),
     "actuator stands elsewhere than at its X and Y": (Code.MISPLACED_ACTUATOR, ""),

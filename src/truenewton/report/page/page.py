@@ -23,7 +23,13 @@ from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.calibration.summary import headline, rejected_values, summary_rows
+from truenewton.calibration.summary import (
+    LABELS,
+    NOISE_PART,
+    headline,
+    rejected_values,
+    summary_rows,
+)
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.result import Comparison
 from truenewton.comparison.summary import UNDETECTABLE, changed_actuators, figures
@@ -160,7 +166,7 @@ def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> 
     )  # fmt: skip
     return environment.get_template("page.html.j2").render(
         title=title, heading=heading, verdict=headline_of(findings), actuators=actuators,
-        look=look, sections=[part for part in sections if part.shows], drawn=drawn,
+        look=look, labels=LABELS, sections=[part for part in sections if part.shows], drawn=drawn,
         notes=[words for part in sections if not part.shows for words in part.words],
         tables=tables, command=command, versions=_versions(),
         bokeh="\n".join(BOKEH.js_raw),
@@ -284,7 +290,7 @@ class Section:
 
 NO_DATA = (
     "Residuals, singular values and balance: this page was made from a calibration file, which does"
-    " not contain them: give the cycles with --calibration."
+    " not contain them. To show them, give the cycles, and the calibration with --calibration."
 )
 WORST = 3  # rows and actuators, listed
 LOOKED_AT = ("alpha", "noise", "sensor_gain", "sensor_dx", "sensor_dy", "halves", "findings")
@@ -298,21 +304,21 @@ def worst_residuals(findings: Findings) -> Iterator[tuple[str, str, str]]:
     residuals, ids = findings.evidence.residuals, findings.calibration.layout.shown
     if isinstance(residuals, ModeResiduals):
         worst = np.argsort(-residuals.after)[:WORST]
-        yield ("modes least in balance",
+        yield ("modes with the largest imbalance",
                ", ".join(f"{stiffness_text(residuals.stiffness[k])} ({percent(residuals.after[k])})"
-                         for k in worst), "Imbalance of a mode per unit of force.")  # fmt: skip
+                         for k in worst), "Largest of all modes, per unit of force.")  # fmt: skip
     else:
         shape = columns_of_shapes(residuals)[0]
         worst = np.argsort(-np.where(residuals.kept, residuals.after, 0.0))[:WORST]
-        yield ("rows least in balance",
+        yield ("rows with the largest imbalance",
                ", ".join(f"shape {shape[k]} of cycle {residuals.cycle[k] + 1}"
                          f" ({residuals.after[k]:.1f})" for k in worst),
-               f"Imbalance in units of its noise, of {residuals.kept.sum()} rows.")  # fmt: skip
+               f"Largest of {residuals.kept.sum()} rows, in units of their noise.")  # fmt: skip
     size = np.nan_to_num(findings.evidence.actuator_residual)
     worst = np.argsort(-size)[:WORST]
     yield ("largest residuals", ", ".join(f"{ids[k]} ({size[k]:.2f})" for k in worst),
-           "Correction of a reading that the imbalance implies, in units of its noise (noise"
-           " alone: 1).")  # fmt: skip
+           "Actuators whose readings the imbalance would correct most. Rms correction in units of"
+           " the noise of a reading (noise alone: 1).")  # fmt: skip
 
 
 def what_to_look_at(
@@ -364,7 +370,11 @@ def _budget(c: Calibration) -> Section:
     rows = ((what, percent(part)) for what, part in scale_budget(c.scale_errors).items())
     tables = (
         TextTable("Undetectable here, not in E_ALPHA", ("assumption", "error"), unseen, wraps=True),
-        TextTable("Sources of the scale error", ("source", "relative error"), tuple(rows)),
+        TextTable(
+            f"Uncertainty of the common scale ({NOISE_PART})",
+            ("source", "relative error"),
+            tuple(rows),
+        ),
     )
     caption = "Of a typical actuator, one sigma."
     return Section("budget", "Error budget", (), "budget", caption, tables=tables)
@@ -372,8 +382,11 @@ def _budget(c: Calibration) -> Section:
 
 def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Section:
     after = residuals.after[residuals.kept]
-    caption = f"Imbalance of each row, {_rms(after):.2f} rms (noise alone: 1)."
-    more = f"{counted(after, 'row')} of {counted(campaign.cycles, 'cycle')}, by shape and cycle."
+    caption = (
+        f"Imbalance of each of the {counted(after, 'row')} in units of its noise."
+        f" Rms: {_rms(after):.2f} (noise alone: 1)."
+    )
+    more = f"By shape and cycle, {counted(campaign.cycles, 'cycle')}."
     listed = rejected_values(campaign, c.rejected_rows)
     rows = tuple(
         (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
@@ -404,20 +417,17 @@ def _singular_values(evidence: Evidence) -> Section:
     values = evidence.singular_values
     ratio = float(values[1] / max(values[0], 1e-16 * values[-1]))
     caption = (
-        f"The second value is {significant(ratio)} times the first. If both were equal, alpha would"
-        " not be unique."
+        "Singular values of the balance, in ascending order. The first belongs to alpha. The second"
+        f" is {significant(ratio)} times the first. If both were equal, alpha would not be unique."
     )
-    more = (
-        "Singular values of the balance, ascending. The first belongs to alpha itself. Patterns"
-        " with a singular value close to the smallest are poorly determined."
-    )
+    more = "Patterns with a singular value close to the smallest are poorly determined."
     return Section("singular-values", "Singular values", (), "singular-values", caption, more)
 
 
 def _balance(evidence: Evidence) -> Section:
     title = "The balance before and after"
     noise = any(np.isfinite(line.noise) for line in evidence.balance)
-    head = ("of", "alpha = 1", "calibrated", "noise alone")[: 4 if noise else 3]
+    head = ("quantity", "alpha = 1", "calibrated", "noise alone")[: 4 if noise else 3]
     rows = tuple(
         (line.what, *(f"{significant(value)} {line.unit}".rstrip() for value in
                       (line.before, line.after, line.noise)[: len(head) - 1]))
@@ -425,9 +435,11 @@ def _balance(evidence: Evidence) -> Section:
     )  # fmt: skip
     table = TextTable("Rms imbalance" if noise else "Rms imbalance per unit of force", head, rows)
     if isinstance(evidence.residuals, ModeResiduals):
-        words = "Held-out modes show how well alpha applies to other forces."
+        words = (
+            "Held-out modes show how well alpha applies to forces that were not used in the fit."
+        )
         return Section("balance", title, (words,), tables=(table,))
-    caption = "Rms imbalance of each signed shape, with alpha = 1 and calibrated."
+    caption = "Rms imbalance of each signed shape, with alpha = 1 and with the calibrated alpha."
     return Section("balance", title, (), "balance", caption, tables=(table,))
 
 
@@ -454,9 +466,9 @@ def times(findings: Findings) -> Section:
              f"{cycle.date:%Y-%m-%d %H:%M:%S}", f"{np.ptp(time) / 60:.1f}", str(time.size),
              str(rejected[k]), span)
         )  # fmt: skip
-    head = ("cycle", "load", "its number", "file", "start (UTC)", "minutes", "rows", "rejected",
-            "temperature (°C)")  # fmt: skip
-    caption = f"{counted(rows, 'cycle')}; the table of cycles is at the end of the page."
+    head = ("cycle", "load", "number within the load", "file", "start (UTC)", "minutes", "rows",
+            "rejected", "temperature (°C)")  # fmt: skip
+    caption = f"{counted(rows, 'cycle')}; see the table Cycles under Inputs and numbers."
     tables = (TextTable("Cycles", head, tuple(rows)),)
     return Section("times", title, (), "temperatures", caption, tables=tables)
 
@@ -528,7 +540,7 @@ def _stiffness_modes(modes: ModalFindings) -> Section:
     words = [
         f"{counted(values, 'mode')}. Elastic modes: {stiffness_text(softest)} to"
         f" {stiffness_text(elastic.max())}; {negative} with negative stiffness (expected: 0)."
-        f" Rigid-body modes: {rigid} (of a free body without bias magnets: 0)."
+        f" Rigid-body modes: {rigid} (expected for a free body without bias magnets: 0)."
     ]
     if compared := comparison_text(modes):
         words.append(f"Modes with alpha = 1: {compared}.")
@@ -540,9 +552,11 @@ def _stiffness_modes(modes: ModalFindings) -> Section:
     words += [f"Warning: {as_sentences(each)}" for each in modes.warnings]
     rows = (
         ("asymmetry", *map(percent, modes.asymmetry)),
-        ("net forces and torques of its columns", *map(percent, modes.imbalance)),
+        ("net forces and torques of the columns", *map(percent, modes.imbalance)),
     )
-    table = TextTable("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
+    table = TextTable(
+        "Errors of the stiffness matrix", ("quantity", "alpha = 1", "calibrated"), rows
+    )
     drawn = [f"{k + 1}: {stiffness_text(values[k])}" for k in chosen_modes(values.size)]
     caption = "Displacement of each actuator relative to the largest of the mode."
     more = f"Maps of modes, softest first. Modes and their stiffness: {'; '.join(drawn)}."
@@ -550,7 +564,7 @@ def _stiffness_modes(modes: ModalFindings) -> Section:
 
 
 def _turbulence(base: ModalBase) -> Section:
-    caption = "Rms wavefront at the actuators that the first N modes of each base leave."
+    caption = "Rms wavefront at the actuators that remains after the first N modes of each base."
     words = (f"For {turbulence_text(base)}.", f"Fitting error: {fitting_error_text(base)}.")
     return Section("turbulence", "Turbulence", words, "modes-residual", caption)
 

@@ -321,10 +321,10 @@ def change_views(change: AnyChange, edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of what changed; edges (vertices, 2) [m]."""
     layers, layout, limit = change_layers(change), change.layout, np.nan
     source, title = actuator_source(layout, layers), f"Change by {group_name(layout)}"
-    caption = "New over old alpha, relative to the mean of those that did not change."
+    caption = "New alpha / old alpha, relative to the mean of the actuators that did not change."
     if isinstance(change, Change):
         limit = change.limit
-        caption = f"Dashed: the limit, {limit:.1f} sigma, exceeded by chance in 1 % of comparisons."
+        caption = f"Dashed: limit of {limit:.1f} sigma (exceeded by chance in 1 % of comparisons)."
     by_ring = View("rings", title, change_by_ring(source, layout, layers, limit), caption)
     return _with_map("Map of the change", source, layout, layers, edges, by_ring)
 
