@@ -55,8 +55,8 @@ def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
     if evidence is not None:
         layers += [
             Layer("residual", "residual / noise", "", evidence.actuator_residual,
-                  "Rms correction of the actuator's readings that would restore the balance, in"
-                  " units of the noise of a reading (noise alone: 1)."),
+                  "Rms correction of the actuator's readings that would restore the balance,"
+                  " divided by the correction that noise alone would cause."),
             Layer("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
                   "Standard deviation of one reading among repeats of its shape."),
         ]  # fmt: skip

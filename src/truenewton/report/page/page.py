@@ -317,8 +317,8 @@ def worst_residuals(findings: Findings) -> Iterator[tuple[str, str, str]]:
     size = np.nan_to_num(findings.evidence.actuator_residual)
     worst = np.argsort(-size)[:WORST]
     yield ("largest residuals", ", ".join(f"{ids[k]} ({size[k]:.2f})" for k in worst),
-           "Actuators whose readings the imbalance would correct most. Rms correction in units of"
-           " the noise of a reading (noise alone: 1).")  # fmt: skip
+           "Rms correction of the readings that would restore the balance, divided by the"
+           " correction that noise alone would cause.")  # fmt: skip
 
 
 def what_to_look_at(
