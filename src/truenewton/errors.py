@@ -95,7 +95,7 @@ class TooManyOutliers(TrueNewtonError, ValueError):
 
 
 class NotToBeUsed(TrueNewtonError, ValueError):
-    """A calibration whose verdict is 'rejected'."""
+    """A calibration whose verdict is 'rejected'; for an export also 'doubtful'."""
 
 
 class TrueNewtonWarning(UserWarning):
