@@ -8,6 +8,8 @@ prototype", Applied Optics 47 (2008). Start with ``truenewton demo``, or::
     campaign = tn.read("p45-2026-11/")
     calibration = tn.calibrate(campaign)
     calibration.write("alpha.fits")
+
+docs/method.md lists the equations of the paper with their place in the code, and the packages.
 """
 
 from __future__ import annotations

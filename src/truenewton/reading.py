@@ -1,4 +1,4 @@
-"""Reading: the files at some paths become a campaign, a stiffness matrix or a calibration."""
+"""The public functions that read data or a calibration; `records.reader` opens the files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Body = Campaign | StiffnessMatrix | Calibration  # of a mirror in one piece
 Read = Measured | AnyCalibration
 Part = TypeVar("Part")
 Kind = TypeVar("Kind", bound=Body)
-KINDS: dict[type, tuple[str, str]] = {  # what files contain, and the function that reads them
+KIND_NAMES: dict[type, tuple[str, str]] = {  # what files contain, and the function that reads them
     Campaign: ("a campaign", "read_campaign"),
     StiffnessMatrix: ("a stiffness matrix", "read_stiffness"),
     Calibration: ("a calibration", "read_calibration"),
@@ -147,9 +147,9 @@ def _required(data: Read, wanted: type[Kind], remedy: str, path: object) -> Kind
     """Return data if they are of the class wanted, otherwise raise FormatError."""
     if isinstance(data, wanted):
         return data
-    kind, reader = KINDS[type(data)]
+    kind, reader = KIND_NAMES[type(data)]
     raise FormatError(
-        f"is not {KINDS[wanted][0]}, but {kind}",
+        f"is not {KIND_NAMES[wanted][0]}, but {kind}",
         remedy=f"{remedy}, or read it with {reader} in Python",
         path=path,
     )

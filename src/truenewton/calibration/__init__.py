@@ -4,7 +4,7 @@ methods  from data to a calibration: the method, and its numbers for all actuato
 result   the calibration: alpha, errors, covariance; and the columns of its file
 workers  segments at the same time, in separate processes
 layers   the quantities of each actuator, for maps and tables
-file     a calibration in files: FITS (docs/files.md), its table, or alpha alone
+file     a calibration in files: FITS (written by `records.result`), its table, or alpha alone
 figures  alpha with errors (paper, fig. 5), and all figures of a calibration as files
 verdict  sound, usable, doubtful or rejected; faults of the common scale
 summary  text and numbers of a calibration: terminal, report, JSON

@@ -95,7 +95,7 @@ class Calibration(Result, EstimateFacts):
     rejected_rows
         The rows left out.
     effects
-        Bench effects that were found, the most likely first.
+        Findings about files, columns and actuators, then bench effects, the most likely first.
     unseen
         Effects that the data cannot show, with their change of the common scale; in none of the
         errors.

@@ -1,4 +1,4 @@
-"""Whether a campaign is what it claims to be: files, columns, actuators, weights, dates.
+"""Stuck readings, dead actuators, exchanged columns, weights and dates that do not agree.
 
 Only the user can decide this: suspects are named, also in the error if there is no alpha, and never
 corrected.
@@ -46,7 +46,7 @@ from truenewton.estimation.paper.identifiability import centred_means, refuse
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.readings.moments import Moments, Noise
 from truenewton.estimation.readings.rows import WEIGHED_NOISE, is_displaced
-from truenewton.estimation.screening.screen import ScreenedCampaign, naming, still_sensors
+from truenewton.estimation.screening.screen import ScreenedCampaign, still_sensors, with_suspects
 from truenewton.linalg import ROWS_AT_ONCE, assignment, asymmetry
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.rounding import named
@@ -115,7 +115,7 @@ def refusal_naming(suspects: Callable[[], Sequence[Finding]]) -> Iterator[None]:
     try:
         yield
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        raise naming(error, suspects()) from None
+        raise with_suspects(error, suspects()) from None
 
 
 def constant_actuators(campaign: Campaign, moments: Moments, noise: Noise) -> tuple[Finding, ...]:

@@ -1,7 +1,7 @@
 """Maximum likelihood: the noise where it is, in the readings (docs/likelihood.md).
 
-For one shape with mean reading c (of r readings, each with covariance Sigma), the imbalance and its
-covariance are
+For one shape with mean reading c (of r readings, each with covariance Sigma), external load k and a
+part q of the balance that is known beforehand, the imbalance and its covariance are
 
     rho = A diag(alpha) c + q + k,        S / r,    S = A diag(alpha) Sigma diag(alpha) A'
 
@@ -323,6 +323,7 @@ def _minimum(
     if factor is None or np.abs(values[:n]).max() > 1e6:  # where weights count for nothing
         raise _no_more_than_noise()
     inverse = inverse_of_factor(factor[:t, :t])
+    # Those of H equal those of M, because D is on alpha alone.
     m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
     turn = inverse @ m_tu
     left = _not_negative(m_uu - m_tu.T @ turn)

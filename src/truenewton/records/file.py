@@ -165,8 +165,8 @@ def read_layout(path: str | os.PathLike[str]) -> Layout:
     return layout_from(read_file(path, whole=False))
 
 
-def cycle_from(file: FitsFile, *, whole: bool = True) -> Cycle:
-    """Return the cycle in a file; if not whole, means of samples stay in the file."""
+def cycle_from(file: FitsFile, *, means_in_memory: bool = True) -> Cycle:
+    """Return the cycle in a file; if not ``means_in_memory``, means of samples stay in the file."""
     if not holds_cycle(file):
         there = ", ".join(name for name in file.extensions if name != PRIMARY)
         raise FormatError(
@@ -176,7 +176,7 @@ def cycle_from(file: FitsFile, *, whole: bool = True) -> Cycle:
             path=file.path,
         )
     if STREAM in file.extensions:
-        return averaged_from(file, whole=whole).cycle
+        return averaged_from(file, means_in_memory=means_in_memory).cycle
     return file.filled(Cycle, _values(file, CYCLE, SEGMENTED_CYCLE))
 
 
@@ -239,10 +239,11 @@ def averaged(path: str | os.PathLike[str]) -> Averaged:
     return averaged_from(file)
 
 
-def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
+def averaged_from(file: FitsFile, *, means_in_memory: bool = True) -> Averaged:
     """Return the cycle of the samples in a file, and their scatter.
 
-    If not whole, FORCE and POSITION stay in the file, and are averaged whenever they are used.
+    If not ``means_in_memory``, FORCE and POSITION stay in the file, and are averaged whenever they
+    are used.
     """
     if MEASUREMENTS.name in file.extensions:
         raise FormatError(
@@ -263,7 +264,9 @@ def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
     for name in ("force", "position"):
         if (samples := values[name]) is not None:
             of[name] = sample_means(samples, first, number)
-            values[name] = of[name].mean if whole else left_in_file(samples, of[name], counted)
+            values[name] = (
+                of[name].mean if means_in_memory else left_in_file(samples, of[name], counted)
+            )
     known = of["force"].of_mean[number > 1][:, layout.enabled]
     noise = float(np.sqrt(known.mean())) if known.size else 0.0
     least = max(LEAST_NOISE, ROUNDING * float(np.abs(of["force"].mean[:, layout.enabled]).max()))

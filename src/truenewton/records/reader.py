@@ -57,28 +57,28 @@ class Opened(NamedTuple):
 
 def open_file(path: AnyPath, *, whole: bool) -> Opened:
     """Open a file; if not whole, vector columns stay on disk."""
-    return _opened(read_file(path, whole=whole), whole=True)
+    return _opened(read_file(path, whole=whole), means_in_memory=True)
 
 
 def open_by_worker(names: tuple[str, str]) -> Opened:
     """Open a file by its absolute path, and name it by the second one in messages."""
     path, name = names
     try:
-        return _opened(replace(read_file(path, whole=False), path=name), whole=False)
+        return _opened(replace(read_file(path, whole=False), path=name), means_in_memory=False)
     except TrueNewtonError as error:
         raise error.changed(path=name) from None
 
 
-def _opened(file: FitsFile, *, whole: bool) -> Opened:
-    """Return a file with its cycle; if not whole, means of samples stay in the file."""
+def _opened(file: FitsFile, *, means_in_memory: bool) -> Opened:
+    """Return a file with its cycle; if not ``means_in_memory``, means of samples stay in it."""
     if not holds_cycle(file):
         return Opened(file, None)
     # Columns of samples are as long as the stream; the cycle contains what is needed of them.
     light = {n: Table(0, {}) if n == STREAM else part for n, part in file.extensions.items()}
     kept = replace(file, extensions=light)
     try:
-        cycle = cycle_from(file, whole=whole)
-        if not whole:
+        cycle = cycle_from(file, means_in_memory=means_in_memory)
+        if not means_in_memory:
             _require_stored(cycle)
             cycle.stroke  # noqa: B018  # reads POSITION here, not where all files are needed
     except UnreadableFile:

@@ -16,7 +16,7 @@ from truenewton.statics.layout import Layout
 
 
 def arms(layout: Layout) -> Array:
-    """Return A, (3, n): rows nz, x, y; ``A @ f`` is total force [N] and the two moments [N m]."""
+    """Return A, (3, n): rows nz, x, y; ``A @ f`` is total force [N], sums of x f and y f [N m]."""
     return np.stack([layout.nz, layout.x, layout.y])
 
 
@@ -35,7 +35,7 @@ def external_load(
 
 
 def resultants(layout: Layout, true_force: ArrayLike) -> Array:
-    """Return A f, (..., 3): total force [N], moments x f and y f [N m] of (..., n) true forces."""
+    """Return A f, (..., 3): total force [N], sums of x f and y f [N m], of (..., n) true forces."""
     return np.asarray(true_force, dtype=float) @ arms(layout).T
 
 

@@ -101,7 +101,7 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
                 patterns = random.standard_normal(patterns.shape)
             pairs = zip(patterns, k, strict=True)
             c = [balanced_forces(pattern, a, each) / alpha for pattern, each in pairs]
-            cycles = [_cycle(mirror, q, each) for q, each in zip(added, c, strict=True)]
+            cycles = [_cycle(mirror, weight, each) for weight, each in zip(added, c, strict=True)]
             for system, equations, true in (
                 ("C", system_c(c[0], a, mirror.weight, bias, *torques[:2]), truth[:n]),
                 ("E", system_e(Campaign(tuple(cycles)), a), truth),

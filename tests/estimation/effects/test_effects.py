@@ -14,7 +14,7 @@ from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.chance import OF_EACH_KIND
-from truenewton.estimation.effects.catalogue import CATALOGUE, effect_tests, significant
+from truenewton.estimation.effects.catalogue import CATALOGUE, effect_tests, significant_tests
 from truenewton.estimation.effects.correction import correction, unknown_force
 from truenewton.estimation.effects.derivative import (
     FittedRows,
@@ -279,7 +279,8 @@ def test_the_same_is_named_as_by_whole_tests(drift):
     limit = np.log(1.0 - (1.0 - OF_EACH_KIND) ** (1.0 / len(found)))
     expected = [(t.effect.code, t.log_probability) for t in found if t.log_probability < limit]
     assert [
-        (t.effect.code, t.log_probability) for t in significant(effect_tests(fit, bounded=True))
+        (t.effect.code, t.log_probability)
+        for t in significant_tests(effect_tests(fit, bounded=True))
     ] == expected
     assert bool(expected) == bool(drift)
     passed = [t for t in found if surely_sound(fit, t.derivative, 1e-6)]

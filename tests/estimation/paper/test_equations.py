@@ -105,8 +105,8 @@ def test_every_name_in_the_table_of_the_papers_equations_exists():
         for name, is_module in names:
             if is_module:
                 inside = (Path(estimation.__file__).parent / name.split(".")[0]).is_dir()
-                home = f"estimation.{name}" if inside else name
-                module = importlib.import_module(f"truenewton.{home}")
+                home = f"truenewton.estimation.{name}" if inside else name
+                module = importlib.import_module(home)
             else:
                 assert hasattr(module, name), line
 

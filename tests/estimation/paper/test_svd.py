@@ -11,7 +11,7 @@ from truenewton.calibration import methods
 from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.estimate import weight_errors
 from truenewton.estimation.paper.equations import system_e
-from truenewton.estimation.paper.svd import bias, fit, solve, weight_changes
+from truenewton.estimation.paper.svd import fit, noise_bias, solve, weight_changes
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.load import Load
@@ -125,7 +125,7 @@ def test_the_bias_to_first_order_is_the_bias():
         campaign = noisy(quiet, 2e-3, [98, k])
         fitted = fit(campaign)
         solutions.append(fitted.solution)
-        predicted.append(bias(campaign, fitted, np.full(n, 4e-6)))
+        predicted.append(noise_bias(campaign, fitted, np.full(n, 4e-6)))
     measured = (np.mean(solutions, axis=0) - truth)[:n]
     error = (np.std(solutions, axis=0) / np.sqrt(200))[:n]
     expected = np.mean(predicted, axis=0)[:n]

@@ -391,7 +391,7 @@ def test_a_drift_that_ml_takes_out_does_not_come_back():
     [note] = auto.verdict.notes
     assert note.cause.values["effect"].startswith(by_balance.effects[0].name)
     assert auto.verdict.faults == by_balance.verdict.faults
-    with pytest.warns(TrueNewtonWarning, match="doubtful: found: gain by"):
+    with pytest.warns(TrueNewtonWarning, match="doubtful: Found: gain by"):
         forced = calibrate(drifting, "reciprocity")
     assert not any(effect.corrected for effect in forced.effects)
 

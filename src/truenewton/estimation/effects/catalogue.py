@@ -407,7 +407,7 @@ def effect_tests(fit: FittedRows, *, bounded: bool = False) -> list[EffectTest]:
     return sorted(each, key=lambda test: test.log_probability)
 
 
-def significant(found: Sequence[EffectTest]) -> list[EffectTest]:
+def significant_tests(found: Sequence[EffectTest]) -> list[EffectTest]:
     """Return the significant tests, the likeliest first; 1 of 400 sound campaigns has one."""
     limit = np.log(-np.expm1(np.log1p(-OF_EACH_KIND) / max(len(found), 1)))
     chosen = [test for test in found if test.log_probability < limit]
@@ -423,7 +423,7 @@ def beside_shared_noise(
     """
     some = [test for test in found if test.effect.code in WITHIN_GROUPS]
     judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
-    codes = {test.effect.code for test in significant(judged)}
+    codes = {test.effect.code for test in significant_tests(judged)}
     return [test for test in some if test.effect.code in codes]
 
 

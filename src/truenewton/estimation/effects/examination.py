@@ -24,7 +24,7 @@ from truenewton.estimation.effects.catalogue import (
     EffectTest,
     beside_shared_noise,
     effect_tests,
-    significant,
+    significant_tests,
 )
 from truenewton.estimation.effects.correction import (
     Correction,
@@ -234,7 +234,7 @@ def _corrected(
         fit = now.rows
         if not independent:
             fit = FittedRows(now.problem, now.moments, now.minimum, independent)
-        found = significant(effect_tests(fit, bounded=True))
+        found = significant_tests(effect_tests(fit, bounded=True))
         shared = within and not now.effects  # noise, or such an effect
         if shared:
             found = beside_shared_noise(found, fit, samples)

@@ -4,7 +4,7 @@ With f = alpha c (eq. 2) in the balance (eq. 1), C alpha = p (eq. 3) balances th
 and its torques are known, D alpha = q the mirror with the added weight Q (section 3). E alpha' = r
 (eq. 4) combines both, or any number of loads, with B and all torques unknown. Forces have one row
 per shape and one column per actuator; each block of N equations balances the weight force, the
-moments of x and the moments of y, in this order, as in the paper.
+sums of x f and the sums of y f, in this order, as in the paper.
 
 The imbalance of readings c is rho = A diag(alpha) c + k in N, N m and N m. Noise of covariance
 Sigma in the readings makes its covariance S = A diag(alpha) Sigma diag(alpha) A'

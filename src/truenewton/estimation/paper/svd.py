@@ -139,16 +139,16 @@ def condition_in_units_of_rms(campaign: Campaign) -> float:
     return float(values[0] / values[-1])
 
 
-def bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array:
-    """Return the (u,) bias of the solution to first order: -(E'E)^-1 D alpha.
+def noise_bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array:
+    """Return the (u,) bias of the solution to first order: -(E'E)^-1 G alpha.
 
-    Noise of (n,) variances s_i^2 [N^2] in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2)
+    Noise of (n,) variances s_i^2 [N^2] in the readings adds G_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2)
     to E'E and nothing to E'r.
     """
     a = enabled_arms(campaign.layout)
     n = a.shape[1]
-    d = len(solved.matrix) // 3 * variance * np.sum(a**2, axis=0)
-    return np.asarray(-solved.inverse[:, :n] @ (d * solved.solution[:n]))
+    excess = len(solved.matrix) // 3 * variance * np.sum(a**2, axis=0)
+    return np.asarray(-solved.inverse[:, :n] @ (excess * solved.solution[:n]))
 
 
 def solve_campaign(campaign: Campaign, moments: Moments) -> Estimate:
@@ -161,7 +161,7 @@ def solve_campaign(campaign: Campaign, moments: Moments) -> Estimate:
     reading_covariance = scatter_covariance(campaign, fitted)
     changes = weight_changes(campaign, fitted, errors)
     if moments.repeats:
-        biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
+        biased = noise_bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
         size = np.sqrt(np.mean(biased**2))
         scatter = np.sqrt(np.trace(reading_covariance[:n, :n]) / n)
         if size > 0.2 * scatter:

@@ -111,7 +111,7 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
                 raise refusal
         except TooManyOutliers as error:
             suspects += () if apart else _relabelled(campaign, prints, range(len(campaign)))
-            raise naming(error, suspects + clipped) from None
+            raise with_suspects(error, suspects + clipped) from None
     lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign))
     valid = np.array([cycle.valid.sum() for cycle in campaign.cycles])
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
@@ -159,7 +159,7 @@ def _relabelled(campaign: Campaign, prints: RowPrints, files: Sequence[int]) -> 
     return mislabelled_rows(campaign, files) or unlike_files(campaign, prints)
 
 
-def naming(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNewtonError:
+def with_suspects(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNewtonError:
     """Return an error that names the suspected cause."""
     if not suspects:
         return error
