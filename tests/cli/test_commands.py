@@ -95,7 +95,7 @@ def test_info_says_what_files_hold_and_what_they_lack(inside, p45_folder):
 def test_prove_prints_the_paper_and_passes(inside):
     code, out, _ = inside("prove", "p45", "--seed", "3")
     assert code == 0
-    assert out.splitlines()[-1].startswith("alpha comes back to machine precision")
+    assert out.splitlines()[-1].startswith("alpha is recovered to machine precision")
     _, out, _ = inside("prove", "--json", "--seeds", "2")
     values = json.loads(out)
     assert values["passed"] is True

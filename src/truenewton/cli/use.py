@@ -14,6 +14,7 @@ import typer
 from truenewton.cli import options
 from truenewton.cli.terminal import about, busy, print_result, schema_of
 from truenewton.files.outputs import atomic_outputs, refuse_existing
+from truenewton.rounding import row
 
 if TYPE_CHECKING:
     from truenewton.modal.modal_base import Budget
@@ -106,7 +107,7 @@ def run_figures(
         made, more = require_calibration(findings), still_figures(findings)
         written = write_figures(made, output, more=more, numbers=numbers, overwrite=overwrite)
     values = {"verdict": str(made.verdict), "written": [str(path) for path in written]}
-    lines = [f"verdict: {made.verdict}"]
+    lines = [row("verdict", str(made.verdict))]
     shown = written if quiet else (output,)
     print_result(lines, *shown, values=values, schema="figures", json=json, quiet=quiet)
 

@@ -140,7 +140,7 @@ def stiffness_from(
     of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []
     if name == NAME and not instrument:
-        lines.append(("mirror", f"not named: called {NAME}; --instrument (instrument=) names it"))
+        lines.append(("mirror", f"called {NAME}; to name it, use --instrument (instrument=)"))
     lines += [
         ("matrix", f"{len(k)} x {len(k)}{of}"),
         ("sign", sign),
@@ -436,7 +436,7 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
             remedy="put them in the order of the matrix, or match them by ID (--ids)",
         )
     if np.isfinite(share):
-        doubt = "" if share > MIN_EXPLAINED_COUPLING else ": LOW, check numbering and places"
+        doubt = "" if share > MIN_EXPLAINED_COUPLING else ": LOW, check numbering and positions"
         lines.append(("order", f"{100 * share:.0f} % of the couplings follow the distance{doubt}"))
     screened = screen_matrix(matrix)
     gone = np.zeros(matrix.layout.n, dtype=np.bool_)
@@ -444,8 +444,8 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
     pushing = any(each.code is Code.OFF_BUT_PUSHING for each in screened.warnings)
     off = gone if not pushing else np.zeros_like(gone)
     if gone.any():
-        what = "disabled" if not pushing else "left enabled: around them columns do not"
-        what += " balance, as if they had pushed" if pushing else ""
+        what = "disabled" if not pushing else "left enabled, because the columns around them do not"
+        what += " balance, as if these actuators had exerted forces" if pushing else ""
         off_ids, zero = listed(matrix.layout.id[gone], MAX_NAMED), "rows and columns of zeros"
         lines.append(("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {off_ids}"))
     kept = [each for each in screened.warnings if each.code is Code.MISFITS_KEPT]
@@ -463,7 +463,7 @@ def _orientation(facts: MatrixFacts) -> str:
     figures += f" {percent(facts.imbalance)} of the diagonal"
     if facts.looks_transposed:
         return (
-            f"LOOKS TRANSPOSED: {figures}; [i, j] is the force of actuator i per displacement of"
-            " sensor j; otherwise add --transpose"
+            f"LOOKS TRANSPOSED: {figures}; element [i, j] must be the force of actuator i per"
+            " displacement of sensor j; if it is not, add --transpose"
         )
     return f"not transposed ({figures})"

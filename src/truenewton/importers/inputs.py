@@ -212,7 +212,7 @@ def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
     if found is None:
         return None
     if isinstance(found, Layout):
-        note = f"as laid out, NZ {found.nz.min():.4f} .. {found.nz.max():.4f}"
+        note = f"those of the layout, NZ {found.nz.min():.4f} .. {found.nz.max():.4f}"
         return Positions(found.x, found.y, "m", found.id, found.nz, found.enabled, notes=(note,))
     with naming(path or "positions"):
         if not isinstance(found, Positions):

@@ -31,9 +31,9 @@ README = "README.txt"
 HOW_TO_USE = """
 Direction: alpha = true Newton / commanded Newton. Row i of ff_matrix was MULTIPLIED by alpha of the
 channel in row i of ff_list, and the singular values and vectors were computed again. The measured
-matrix is in commanded Newtons, this one in true Newtons (times one unknown factor if the scale is
-'mean 1'). It is correct only if the electronics
-DIVIDE a requested force by alpha, or multiply it by 1 / alpha.
+matrix is in commanded Newtons. This matrix is in true Newtons (times one unknown factor if the
+scale is 'mean 1'). This matrix is correct only if the electronics DIVIDE a requested force by
+alpha, or multiply it by 1 / alpha.
 
 To go back: load the measured matrix ({}) together with the previous alpha (1 for every
 channel if there was none). The measured files were not changed."""
@@ -43,7 +43,7 @@ FORM = FileFormat(
         Keyword("TRACKNUM", "track", "", kind="str"),
         Keyword("BUNIT", "unit", "", kind="str"),
         Keyword("CONTENT", "content", "", kind="str"),
-        Keyword("ALPHA", "alpha", "what forces were corrected by", kind="str"),
+        Keyword("ALPHA", "alpha", "calibration that corrected the forces", kind="str"),
     ),
     matrix="values",
 )

@@ -146,11 +146,14 @@ def _lbt_rings(name: str, count: int, outer_radius: float, **own: Any) -> Mirror
 def p45() -> Mirror:
     """Return the paper's mirror.
 
-    45 actuators in rings of 9, 15, 21, shell 1.6 mm, P = -2.920 +- 0.005 N, Q = -0.289 +- 0.005 N,
-    gap 68 um, alpha 0.70 to 1.10 [paper]; ring radii 43.04, 73.34, 103.62 mm, the shell's 27.5 to
-    120.005 mm and 1955 mm of curvature [conf]; bias 97 mN an actuator, magnets 2.75 g [conf of LBT,
-    same design]; its air film open at the edges only [guess]. The paper takes it for flat, nz = 1;
-    here nz = 0.9998 to 0.9986.
+    - [paper] 45 actuators in rings of 9, 15 and 21; thickness 1.6 mm; gap 68 um; alpha 0.70 to
+      1.10; P = -2.920 +- 0.005 N; Q = -0.289 +- 0.005 N
+    - [conf] ring radii 43.04, 73.34 and 103.62 mm; shell from 27.5 to 120.005 mm; radius of
+      curvature 1955 mm
+    - [conf of LBT, same design] bias force 97 mN per actuator; magnets 2.75 g
+    - [guess] air film open only at the edges
+
+    The paper treats the mirror as flat (nz = 1). Here, nz is 0.9998 to 0.9986.
 
     Examples
     --------
@@ -175,10 +178,11 @@ def p45() -> Mirror:
 def lbt672() -> Mirror:
     """Return an adaptive secondary of the Large Binocular Telescope.
 
-    672 actuators on 14 rings of 9 + 6k at polar angles 1.2615 + 0.8884 k degrees, radius of
-    curvature 1955 mm, shell 27.5 to 455.5 mm, 1.6 mm thick, bias 97 mN [conf]; weight about -44 N
-    [derived]; alpha scatters by 2-5 % [derived from measured matrices]; a weight tool of -0.5 N, as
-    much as its three wedges may bring to the inner ring, and all uncertainties [guess].
+    - [conf] 672 actuators on 14 rings of 9 + 6k at polar angles 1.2615 + 0.8884 k degrees; radius
+      of curvature 1955 mm; shell from 27.5 to 455.5 mm, 1.6 mm thick; bias force 97 mN
+    - [derived] weight about -44 N; scatter of alpha 2 to 5 %, from measured matrices
+    - [guess] added weight -0.5 N, the largest load of three wedges on the inner ring; all
+      uncertainties
 
     Examples
     --------
@@ -191,9 +195,10 @@ def lbt672() -> Mirror:
 def mag585() -> Mirror:
     """Return the adaptive secondary of the Magellan telescope.
 
-    The first 13 rings of LBT672, 585 actuators, shell 27.5 to 425.35 mm, 1.6 mm thick, bias 97 mN,
-    gap 60 um [conf]; alpha scatters by 3 % [derived]; the weight is that of shell and magnets; the
-    weight tool and all uncertainties [guess].
+    - [conf] the first 13 rings of LBT672, 585 actuators; shell from 27.5 to 425.35 mm, 1.6 mm
+      thick; bias force 97 mN; gap 60 um
+    - [derived] scatter of alpha 3 %; weight of shell and magnets
+    - [guess] added weight; all uncertainties
 
     Examples
     --------
@@ -206,11 +211,13 @@ def mag585() -> Mirror:
 def mmt336() -> Mirror:
     """Return the adaptive secondary of the MMT.
 
-    336 actuators on rings of 6, 12, ... 48, 60, 60 from 42.1 to 313.1 mm, the ninth turned by 3
-    degrees [conf]; shell 2.0 mm thick [lit, +-10 %], 27.5 to 321 mm, convex with radius 1700 mm
-    [guess]; no bias magnets [paper: they were new on P45]; gap 40 um, alpha within 5 %, a tool of
-    -0.5 N, sensors of 3.5 to 6 mm that fit between the outermost ring and the edge, pucks of 3 mm,
-    all uncertainties [guess]; the weight is that of shell and magnets.
+    - [conf] 336 actuators on rings of 6, 12, ... 48, 60, 60 from 42.1 to 313.1 mm, the ninth ring
+      turned by 3 degrees
+    - [lit] thickness 2.0 mm, +-10 %
+    - [paper] no bias magnets, which were new on P45
+    - [derived] weight of shell and magnets
+    - [guess] shell from 27.5 to 321 mm, convex with radius 1700 mm; gap 40 um; alpha within 5 %;
+      added weight -0.5 N; sensors from 3.5 to 6 mm; pucks of 3 mm; all uncertainties
 
     Examples
     --------
@@ -237,9 +244,10 @@ def mmt336() -> Mirror:
 def ring(actuators: int) -> Mirror:
     """Return one of the mirrors ring4 ... ring5352: rings of 9 + 6k actuators, 30.3 mm apart.
 
-    The rings, glass and magnets of LBT672 for any number of actuators; the outermost ring may have
-    fewer. Beyond LBT672 the radius of curvature grows with the mirror, so that its edge is as
-    steep. The tool has a tenth of the weight, up to 0.5 N [guess, except the numbers of LBT672].
+    Rings, glass and magnets are those of LBT672, for any number of actuators. The outermost ring
+    may have fewer. Above 672 actuators, the radius of curvature increases with the mirror, so that
+    the slope at the edge is that of LBT672. The added weight is a tenth of the weight of the
+    mirror, at most 0.5 N. All numbers except those of LBT672 are a [guess].
 
     Parameters
     ----------

@@ -142,11 +142,11 @@ def _moved(points: Array, place: Place) -> Array:
 def m4() -> SegmentedMirror:
     """Return a mirror like M4 of the Extremely Large Telescope: six petals of 892 actuators.
 
-    6 x 892 actuators behind a flat shell of 2.4 m in six petals of 60 degrees, 1.95 mm thick [lit];
-    the hole of 0.54 m, no gaps between the petals, a triangular lattice of 29.8 mm that puts 892
-    on a petal [derived]; Zerodur, magnets, coils, sensors, bias forces and gap of LBT672, a tool of
-    0.5 N on a circle of 0.1 m about a point of each petal, and all uncertainties [assumed]; the
-    weight is that of shell and magnets.
+    - [lit] 6 x 892 actuators; flat shell of 2.4 m in six petals of 60 degrees, 1.95 mm thick
+    - [derived] hole of 0.54 m; no gaps between the petals; triangular lattice of 29.8 mm, which
+      gives 892 actuators on a petal; weight of shell and magnets
+    - [assumed] Zerodur; magnets, coils, sensors, bias forces and gap of LBT672; added weight of
+      0.5 N on a circle of 0.1 m around a point of each petal; all uncertainties
     """
     petal = _petal()
     turns = [60.0 * k for k in range(6)]
@@ -160,12 +160,12 @@ def m4() -> SegmentedMirror:
 def gmt() -> SegmentedMirror:
     """Return a mirror like the adaptive secondary of the Giant Magellan Telescope: seven segments.
 
-    Circular segments of 1.05 m, 2 mm thick, 672 actuators on the middle one, which has a hole, and
-    675 on the others [lit]; rings of 9 + 6k as LBT672's, 35.1 mm apart, three more actuators where
-    there is no hole, segments 1.09 m apart [derived]; a radius of curvature of 4.2 m and forces
-    along +z [assumed]; Zerodur, magnets, coils, sensors, bias forces and gap of LBT672, a tool of
-    0.5 N on a circle of 0.1 m, all uncertainties [assumed]; the weight is that of shell and
-    magnets.
+    - [lit] circular segments of 1.05 m, 2 mm thick; 672 actuators on the middle segment, which has
+      a hole, and 675 on each other segment
+    - [derived] rings of 9 + 6k as on LBT672, 35.1 mm apart; three more actuators on segments
+      without a hole; segments 1.09 m apart; weight of shell and magnets
+    - [assumed] radius of curvature 4.2 m; forces along +z; Zerodur; magnets, coils, sensors, bias
+      forces and gap of LBT672; added weight of 0.5 N on a circle of 0.1 m; all uncertainties
     """
     counts = [9 + 6 * k for k in range(14)]
     radii = [GMT_SPACING * (1.42 + k) for k in range(14)]

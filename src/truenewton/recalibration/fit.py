@@ -448,25 +448,29 @@ def _limits(
     if probability < MIN_PROBABILITY and scatter:
         yield (
             f"each of the other actuators has changed by {percent(scatter)} since its earlier"
-            " calibration, and its error includes that: calibrate all again if it is too large"
+            " calibration, and its error includes this change. If the error is too large, calibrate"
+            " all actuators again"
         )
     elif probability < MIN_PROBABILITY:
         yield (
-            "the other actuators together disagree with their earlier calibration, without an"
-            " outlier: calibrate all again"
+            "the other actuators together disagree with their earlier calibration, but none is an"
+            " outlier. Calibrate all actuators again"
         )
     then, now = known.temperature, mean_temperature(campaign.cycles)
     low, high = known.temperatures or (now, now)
     if not (np.isfinite(then) and np.isfinite(now)):
-        yield "not all temperatures are known: a change of temperature looks like moved actuators"
+        yield (
+            "not all temperatures are recorded, and a change of temperature can look like changed"
+            " actuators"
+        )
     elif not low - SAME_TEMPERATURE <= now <= high + SAME_TEMPERATURE:
         yield (
-            f"the run was at {now:.1f} deg C, the days of the law between {low:.1f} and"
-            f" {high:.1f} deg C, and alpha is not known beyond: track a day at {now:.0f} deg C"
+            f"the run was taken at {now:.1f} deg C, but the tracking file covers only {low:.1f} to"
+            f" {high:.1f} deg C. Track a calibration at {now:.0f} deg C"
         )
     elif abs(now - then) > SAME_TEMPERATURE:
         yield (
-            f"the earlier calibration is of {then:.1f} deg C, the run of {now:.1f} deg C: a change"
-            " of temperature looks like moved actuators. Alpha is given at"
-            f" {then:.1f} deg C; a tracking file as --known corrects for temperature"
+            f"the earlier calibration was taken at {then:.1f} deg C and the run at {now:.1f} deg C."
+            " This difference can look like changed actuators. Alpha applies at"
+            f" {then:.1f} deg C. To correct for temperature, use a tracking file as --known"
         )

@@ -29,7 +29,7 @@ def _changes(made: Recalibration, segment: int) -> Iterator[str]:
     changed = dict.fromkeys(made.asked, "replaced")
     for one in made.moved:
         chance = chance_text(one.probability)
-        changed[one.actuator] = f"MOVED: {abs(one.sigmas):.1f} sigma, {chance}"
+        changed[one.actuator] = f"CHANGED: {abs(one.sigmas):.1f} sigma, {chance}"
     rows = [("actuator", "before", "now", "change", "")]
     for name, words in changed.items():
         actuator_index = int((c.layout.id == name).argmax())
@@ -47,10 +47,10 @@ def _changes(made: Recalibration, segment: int) -> Iterator[str]:
         "  other actuators relative to their earlier calibration: chi2/DOF ="
         f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"
         f" probability {made.probability:.2g}; "
-        + ("they agree" if made.moved else "none has moved (false alarms on 1 % of mirrors)")
+        + ("they agree" if made.moved else "none has changed (false alarms on 1 % of mirrors)")
     )
     if made.scatter and not segment:
-        yield f"  each has changed by {percent(made.scatter)} since; errors include this"
+        yield f"  each changed by {percent(made.scatter)} since then; errors include this change"
 
 
 VALUES = Values(

@@ -169,5 +169,5 @@ def proof_rows(proofs: Sequence[Proof]) -> Iterator[tuple[str, ...]]:
 def proof_verdict(proofs: Sequence[Proof]) -> str:
     """Return what the proofs come to, one line."""
     passed = all(one.passed for one in proofs)
-    verdict = "alpha comes back to machine precision" if passed else "PROOF FAILED"
+    verdict = "alpha is recovered to machine precision" if passed else "PROOF FAILED"
     return f"{verdict}: at most {max(one.ratio for one in proofs):.2f} eps cond (limit {LIMIT:g})"
