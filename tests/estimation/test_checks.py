@@ -57,7 +57,7 @@ def test_labels_of_rows_are_named(noise, cycles):
     named([files[0], reversed_signs, *files[2:]], "SIGN reversed", files[1].name)
     last = int(files[1].shape.max())
     counted = replace(files[1], shape=files[1].shape % last + 1)
-    named([files[0], counted, *files[2:]], "SHAPE counted from another one", files[1].name)
+    named([files[0], counted, *files[2:]], "SHAPE numbered from another start", files[1].name)
 
 
 def test_a_dead_actuator_and_exchanged_poles_are_named():

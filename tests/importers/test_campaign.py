@@ -156,7 +156,7 @@ def test_texts_as_ids_are_kept_beside_numbers_in_the_order_of_the_positions(
     known = tn.read_calibration(tmp_path / "a.fits")
     assert np.isnan(known.alpha_of(["F03"]))
     lowest = known.layout.shown[np.nanargmin(known.alpha)]
-    assert f"actuators {lowest}" in " ".join(out.split())
+    assert f"lowest: actuator {lowest}" in " ".join(out.split())
     known.write(tmp_path / "a.csv")
     assert "F14" in (tmp_path / "a.csv").read_text()
     code, _, error = inside("calibrate", tmp_path / "made", "--exclude", "F3")

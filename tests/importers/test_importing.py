@@ -494,7 +494,7 @@ def test_the_command_says_what_it_found_and_alpha_is_right(tmp_path, inside):
     assert all(str(CASE.layout.id[b]) in out.split("do not fit")[1] for b in CASE.bad)
     assert "2026-01-02 03:04:05 (as specified)" in out
     assert f"truenewton calibrate {tmp_path / 'k.fits'}" in out
-    assert "alpha        calibrate estimates it and states its verdict" in out
+    assert "alpha        not estimated: use `truenewton calibrate`" in out
     np.testing.assert_array_equal(tn.read(tmp_path / "k.fits").stiffness, -CASE.k)
     code, _, error = inside(*command)
     assert code == 2
@@ -616,7 +616,7 @@ def test_a_supervisors_folder_is_to_be_imported_first_and_a_calibration_to_be_fi
     (tmp_path / "alpha.csv").write_text("ID,ALPHA\n1,1.0\n")
     command = "export", tmp_path / "meas", "--calibration", tmp_path / "alpha.csv"
     code, _, error = inside(*command, "-o", tmp_path / "new")
-    assert (code, "contains the table alone; give the .fits" in error) == (2, True)
+    assert (code, "contains only the table; give the .fits" in error) == (2, True)
     (tmp_path / "k.fits").unlink()
     out = inside("import", tmp_path / "meas", "-o", tmp_path / "k.fits", "--curvature", "0")[1]
     assert f"truenewton export {tmp_path / 'meas'} --calibration {tmp_path / 'k-alpha.fits'}" in out

@@ -433,7 +433,7 @@ def test_a_free_scale_is_a_warning(inside, file):
     code, out, _ = inside("plan", file, "--target", "0.01")
     assert code == 0
     assert "common scale            free" in out
-    assert "The 2 loads have the same weight, so the common scale is free" in out
+    assert "The 2 loads have the same weight, so the common scale is not determined" in out
     assert "a free scale, not sufficient" in out
 
 

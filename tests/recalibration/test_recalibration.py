@@ -169,7 +169,7 @@ def test_a_warm_run_beside_a_cold_calibration():
     warm = short(replaced() * (1 + 8 * k), random, loads=2, temperature=28.0)
     made = tn.recalibrate(warm, earlier(random, scale=wrong_ring()), [17])
     assert made.moved == ()
-    assert "is of 20.0 deg C, the run of 28.0" in made.limits[0]
+    assert "was taken at 20.0 deg C and the run at 28.0" in made.limits[0]
     assert made.calibration.temperature == 20.0
     ratio = made.calibration.alpha / (quiet_cycles()[1] * replaced())
     # Not 8.8e-3 off, as 8 K would put it.
@@ -183,7 +183,7 @@ def test_a_warm_run_beside_a_cold_calibration():
         assert made.moved == ()
         assert made.calibration.temperature == pytest.approx(temperature)
         assert len(made.limits) == (temperature > 25.0)
-        assert all("the days of the law between 12.0 and 24.0" in one for one in made.limits)
+        assert all("the tracking file covers only 12.0 to 24.0" in one for one in made.limits)
 
 
 def test_an_actuator_without_an_earlier_calibration_is_new():

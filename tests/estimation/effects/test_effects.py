@@ -495,7 +495,7 @@ def other_gains(bench):
 @pytest.mark.parametrize(
     ("change", "name", "tolerance"),
     [
-        (support, "5 mN of an added weight rests on something else", 0.05),
+        (support, "something else supports 5 mN of an added weight", 0.05),
         (other_gains, "coil gains differ by 1 % between static and elastic forces", 0.6),
     ],
 )
@@ -511,7 +511,7 @@ def test_what_no_data_show_moves_the_scale_as_stated(change, name, tolerance):
     assert np.sqrt(np.mean(np.square(ratio))) == pytest.approx(1.0, abs=tolerance)
 
 
-WARM = "the bias magnets are 1 K warmer under a load"
+WARM = "the bias magnets are 1 K warmer under one load"
 
 
 def warmer(bench, kelvins=1.0):
@@ -626,7 +626,7 @@ def test_coils_that_move_as_the_mirror_leans_leave_the_scale(declared):
     named = [(e.code, e.where, e.size) for e in found.effects if e.corrected]
     assert declared or named == [("gain-by-load", "tilted", pytest.approx(-6e-3, rel=0.01))]
     assert declared != bool(named)
-    assert "the coils move by 5 um as the mirror leans" not in {e.name for e in found.unseen}
+    assert "the coils move by 5 um when the mirror is tilted" not in {e.name for e in found.unseen}
 
 
 def test_without_position_coils_that_may_have_moved_are_undetectable_unless_declared():
@@ -634,7 +634,7 @@ def test_without_position_coils_that_may_have_moved_are_undetectable_unless_decl
         campaign, _ = leaning_campaign(0.0, position=None, **options)
         return {e.name: e.relative for e in calibrate(campaign).unseen}
 
-    name = "the coils move by 5 um as the mirror leans"
+    name = "the coils move by 5 um when the mirror is tilted"
     assert name not in unseen(declared=True)
     # COILGRAD (W + B) - 45 BIASGRAD under the tilt, for B of 4.4 N, of 1.46 N.
     assert unseen()[name] == pytest.approx(5e-6 * (600 * 2.9 - 45 * 31) / 1.46, rel=0.15)

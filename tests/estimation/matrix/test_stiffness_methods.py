@@ -78,8 +78,8 @@ def test_alpha_does_not_ask_for_the_unit_of_the_matrix(factor, unit):
     assert calibration.error == pytest.approx(before.error, rel=1e-6)
     known = [each.fault for each in before.verdict.faults]
     [new] = [each for each in calibration.verdict.faults if each.fault not in known]
-    assert f"STIFFNESS looks like {unit}" in new.fault
-    assert "store it in N/m" in new.remedy
+    assert f"STIFFNESS seems to be in {unit}" in new.fault
+    assert "store STIFFNESS in N/m" in new.remedy
 
 
 def test_a_matrix_of_low_rank_or_of_noise_is_refused():

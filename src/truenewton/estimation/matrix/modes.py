@@ -280,7 +280,7 @@ def _unit_warnings(facts: MatrixFacts) -> Iterator[Finding]:
     own = float(np.median(np.abs(np.diag(facts.stiffness))))
     if not 1e-2 < own / TYPICAL_STIFFNESS < 1e3:  # of any mirror in N/m
         power = round(np.log10(max(own, 1e-300) / TYPICAL_STIFFNESS) / 3.0)
-        unit = UNITS.get(power, "counts, or no N/m at least")
+        unit = UNITS.get(power, "counts, or at least not in N/m")
         yield Finding.of(Code.STIFFNESS_UNIT, unit=unit, own=own, usual=TYPICAL_STIFFNESS)
 
 
