@@ -132,7 +132,12 @@ def test_demo_prints_its_four_parts_and_writes_its_files(tmp_path, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     code, out, err = inside("demo")
     assert (code, err) == (0, "")
-    for words in ("1. A campaign", "2. The calibration", "3. The truth", "4. The report"):
+    for words in (
+        "1. A simulated campaign",
+        "2. The calibration",
+        "3. Comparison",
+        "4. The report",
+    ):
         assert words in out
     made = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
     assert "truenewton-demo/alpha.fits" in made
