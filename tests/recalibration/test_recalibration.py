@@ -261,6 +261,29 @@ def test_an_earlier_stiffness_gives_the_new_alpha_from_twenty_shapes():
     assert 3.07 < np.sum(np.square(off)) < 28.3  # chi2 of 12 degrees, 99.5 % each way
 
 
+@pytest.mark.parametrize("place", [2, 38])
+def test_noise_in_proportion_to_the_elements_of_a_matrix_is_in_the_error(place):
+    """Of an inner and of an outer actuator, whose errors differ by a factor of two."""
+    from helpers.balanced import p45_bench
+
+    bench, known, off = p45_bench(), pattern(1e-4), []
+    k = bench.truth.stiffness / bench.truth.alpha[:, None] * bench.sensors.gain
+    for seed in range(300, 312):
+        random = np.random.default_rng(seed)
+        [cycle] = short(replaced((place, 0.8)), random, noise=1e-4).cycles
+        valid = np.isin(cycle.shape, 1 + random.permutation(45)[:10])
+        run = tn.Campaign((dataclasses.replace(cycle, valid=valid),))
+        noisy = k * (1 + 5e-4 * random.standard_normal(k.shape))
+        matrix = tn.StiffnessMatrix("P45", cycle.date, cycle.layout, noisy)
+        made = tn.recalibrate(run, known, [place + 1], reference=matrix)
+        c = made.calibration
+        own = c.statistical_error[place] ** 2 - (0.8 * known.statistical_error[place]) ** 2
+        off.append((c.alpha[place] - 0.8 * known.alpha[place]) / np.sqrt(own))
+        assert made.probability > 1e-4
+        assert made.moved == ()
+    assert 3.07 < np.sum(np.square(off)) < 28.3  # chi2 of 12 degrees, 99.5 % each way
+
+
 def test_the_reference_may_be_a_matrix_and_who_moved_is_found(inside, tmp_path):
     from helpers.balanced import p45_bench
 

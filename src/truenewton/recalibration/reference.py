@@ -17,13 +17,16 @@ information
 
     W o (T S T'),      (W T) o (T S),      S o (T' W T)
 
-(o: elementwise). Actuators that were not replaced have a prior: a and b are normal about their
-means, with the scatter that a fit without it shows. Those that deviate from it are free, too.
+(o: elementwise). The elements of a matrix have independent noise of variance A + B T^2 instead. The
+factors stay as they are, and their covariance is that of such noise (`_by_elements`).
+
+Actuators that were not replaced have a prior: a and b are normal about their means, with the
+scatter that a fit without it shows. Those that deviate from it are free, too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -34,13 +37,15 @@ from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chance_of_any, t_sf
 from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.estimation.readings.moments import Moments, reading_noise
-from truenewton.estimation.reciprocity.regression import noise_of_rows, regressed
+from truenewton.estimation.reciprocity.regression import noise_of_rows, regressed, variance_shares
 from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
 from truenewton.linalg import inverse_of_positive
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.tracking.law import Outlier
 
+LAW_PASSES = 4  # of A and B, and of what the factors absorb, each given the other
+MIN_FREE = 0.1  # share of the variance of a residual that factors leave; others show no noise
 MIN_SHAPES = 4  # beside one for each load
 STEPS = 8  # of noise and factors, each given the other
 MIN_SCATTER = 1e-5  # of actuators that did not change, relative
@@ -98,15 +103,17 @@ def _positioned(moments: Moments, what: str) -> Moments:
 class _Rows:
     """Independent rows of a run: (R, n) forces [N] and readings [m], and the variance of each.
 
-    ``spread`` is (R,) the variance by K, the largest of them 1.
+    ``spread`` is (R,) the variance by K, the largest of them 1; ``by_elements`` whether K is a
+    matrix whose elements have independent noise.
     """
 
     force: Array
     readings: Array
     spread: Array
+    by_elements: bool
 
 
-def _rows_of(moments: Moments, shape_noise: Array) -> _Rows:
+def _rows_of(moments: Moments, reference: Reference) -> _Rows:
     """Return the rows of a run, without the mean under each load."""
     root = np.sqrt(moments.weight[moments.rows > 0])[:, None]
     on = moments.rows > 0
@@ -116,9 +123,10 @@ def _rows_of(moments: Moments, shape_noise: Array) -> _Rows:
             f"there are too few shapes: {len(root)}", remedy="apply more shapes, both signs"
         )
     z = apart.T @ (root * np.asarray(moments.displacement)[on])
-    values, vectors = np.linalg.eigh(z @ shape_noise @ z.T)
+    values, vectors = np.linalg.eigh(z @ reference.shape_noise @ z.T)
     force = vectors.T @ (apart.T @ (root * moments.mean[on]))
-    return _Rows(force, vectors.T @ z, np.maximum(values, 0.0) / values.max())
+    spread = np.maximum(values, 0.0) / values.max()
+    return _Rows(force, vectors.T @ z, spread, by_elements=not reference.measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +154,65 @@ def _fitted(rows: _Rows, k: Array, prior: Array, start: _Fit, variance: Array) -
         covariance = inverse_of_positive(information + prior)
         values = fit.values + covariance @ (score - prior @ fit.values)
         used = float(np.sum(information * covariance)) / n
+        shown = _Residuals(true, z, u, noise, weights, scale)
         fit = _Fit(values, covariance, _share(rows, u, weights, fit.share), used)
+    if rows.by_elements:
+        fit = replace(fit, covariance=_by_elements(shown, fit.covariance, prior))
     return fit
+
+
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """(R, n) whitened readings z and residuals u of T, N and its inverse, (R, 1) whitening."""
+
+    t: Array
+    z: Array
+    u: Array
+    noise: Array
+    weights: Array
+    scale: Array
+
+    def through(self, i: int, middle: Array) -> tuple[Array, Array]:
+        """Return (R, 2n) J_i M and (R,) the diagonal of J_i M J_i' for a (2n, 2n) M.
+
+        J_i are the derivatives of the force of actuator i by the factors.
+        """
+        by_gains = self.z * self.t[i]
+        by_alpha = by_gains.sum(axis=1)
+        left = by_gains @ middle[len(self.t) :] + by_alpha[:, None] * middle[i]
+        return left, (left[:, len(self.t) :] * by_gains).sum(axis=1) + left[:, i] * by_alpha
+
+
+def _by_elements(at: _Residuals, inverse: Array, prior: Array) -> Array:
+    """Return the (2n, 2n) covariance of factors if the elements of K have independent noise.
+
+    The variance of u_ri is c D_r N_ii + sum_j z_rj^2 (A + B t_ij^2), with D of the whitening and
+    the likeliest c, A and B. With the (2n, 2n) ``inverse`` H^-1 of information and prior, the
+    factors are H^-1 J'W u with the covariance H^-1 (J'W V W J + prior) H^-1 for V of u.
+    """
+    n, d = len(at.t), at.scale[:, 0] ** 2
+    of_rows = d[:, None] * np.diag(at.noise)
+    equal = np.broadcast_to((at.z**2).sum(axis=1)[:, None], at.u.shape)
+    terms = np.stack([of_rows, equal, at.z**2 @ (at.t**2).T], axis=2)
+    forces, by_gains = at.z @ at.t.T, at.weights @ at.t
+    scaled = at.scale * at.z
+    _, by_rows = factor_equations(at.t, at.weights, scaled.T @ scaled, at.weights)
+    free = np.ones_like(at.u)
+    for _ in range(LAW_PASSES):
+        shows = free > MIN_FREE
+        shares = variance_shares(terms[shows], at.u[shows] ** 2 / free[shows])
+        middle, absorbed = shares[0] * by_rows, np.empty_like(at.u)
+        for i in range(n):
+            of_row = (at.z * (shares[1] + shares[2] * at.t[i] ** 2)) @ at.z.T  # (R, R)
+            pull = np.hstack([forces * at.weights[i], at.z * by_gains[i]])  # (R, 2n) of J'W
+            middle += pull.T @ (of_row @ pull)
+            left, own = at.through(i, inverse)
+            absorbed[:, i] = 2.0 * (((left @ pull.T) * of_row).sum(axis=1) + shares[0] * d * own)
+        covariance = np.asarray(inverse @ (middle + prior) @ inverse)
+        for i in range(n):
+            absorbed[:, i] -= at.through(i, covariance)[1]
+        free = 1.0 - absorbed / (terms @ shares)
+    return covariance
 
 
 def factor_equations(t: Array, left: Array, right: Array, pull: Array) -> tuple[Array, Array]:
@@ -187,7 +252,7 @@ def ratios(screened: ScreenedCampaign, reference: Reference, new: NDArray[np.boo
     """
     moments = _positioned(screened.moments, "the run")
     variance = reading_noise(screened.sound, moments).variance
-    rows = _rows_of(moments, reference.shape_noise)
+    rows = _rows_of(moments, reference)
     expected = rows.readings @ reference.stiffness.T
     slope = np.sum(expected * rows.force, axis=0) / np.sum(expected**2, axis=0)
     left = rows.force - slope * expected
@@ -217,7 +282,7 @@ def ratios(screened: ScreenedCampaign, reference: Reference, new: NDArray[np.boo
     spread = contrasts @ free.covariance[:n, :n][np.ix_(stays, stays)] @ contrasts.T
     covariance = about @ fit.covariance[:n, :n] @ about.T
     if not reference.measured:
-        # The noise of a matrix may have another law, and what it adds scatters the others, too.
+        # If factors absorb nearly all noise of the matrix, only the scatter of the others shows it.
         covariance += np.diag(np.where(stays, 0.0, alphas.scatter**2))
     ids = screened.sound.layout.id[screened.sound.layout.enabled]
     moved = (

@@ -166,13 +166,7 @@ def noise_of_rows(left: Array, stiffness: Array, variance: Array, spare: float) 
     """Return (n, n) N_c from the (g, n) residuals of the regression."""
     vectors, values, _ = singular_values_and_vectors(stiffness)
     found = np.sum((left @ vectors) ** 2, axis=0) / spare
-    terms = np.stack([variance @ vectors**2, values**2], axis=1)
-    expected = np.full(len(found), found.mean())
-    for _ in range(20):  # each is known in proportion to itself
-        unit = terms / expected[:, None]
-        size = np.linalg.norm(unit, axis=0)
-        shares = scipy.optimize.nnls(unit / size, found / expected)[0] / size
-        expected = np.maximum(terms @ shares, 1e-3 * found.mean())
+    shares = variance_shares(np.stack([variance @ vectors**2, values**2], axis=1), found)
     noise = np.diag(shares[0] * variance) + shares[1] * stiffness @ stiffness.T
     # What moves nothing balances: sums of forces and torques, which actuators may have in common.
     balance = vectors[:, -3:]
@@ -180,6 +174,17 @@ def noise_of_rows(left: Array, stiffness: Array, variance: Array, spare: float) 
     beyond, axes = np.linalg.eigh(apart.T @ apart / spare - balance.T @ noise @ balance)
     axes = balance @ axes
     return np.asarray(noise + (axes * np.maximum(beyond, 0.0)) @ axes.T)
+
+
+def variance_shares(terms: Array, squares: Array) -> Array:
+    """Return how much of (m, k) terms make the variances of which (m,) squares are samples."""
+    expected = np.full(len(squares), squares.mean())
+    for _ in range(20):  # each is known in proportion to itself
+        unit = terms / expected[:, None]
+        size = np.linalg.norm(unit, axis=0)
+        shares = scipy.optimize.nnls(unit / size, squares / expected)[0] / size
+        expected = np.maximum(terms @ shares, 1e-3 * squares.mean())
+    return np.asarray(shares)
 
 
 MAX_ROW_ASYMMETRY = 4.0  # relative to the median row: beyond, an actuator is left free
