@@ -28,10 +28,10 @@ WIDTH, MARGIN, GAP, PADDING = 1000, 16, 10, 10
 NAME, TEXT, LINE = 15, 12, 16  # sizes of type, and from line to line [px]
 INK, FAINT = "#1a1a1a", "#5c5c5c"
 FILLS = {
-    "imports from both sides": "#ece4f2",
-    "makes data, holds the truth": "#fbe3cf",
-    "reads data, never sees the truth": "#d9e8f5",
-    "used by both sides": "#eeeeee",
+    "imports from both groups": "#ece4f2",
+    "makes data, contains true alpha": "#fbe3cf",
+    "analyses data without true alpha": "#d9e8f5",
+    "used by both groups": "#eeeeee",
 }
 
 
@@ -48,23 +48,26 @@ def layers() -> list[list[str]]:
 
 
 def sides() -> dict[str, set[str]]:
-    """Return the packages that make data and those that read them, from the contract."""
+    """Return the packages that make data and those that analyse them, from the contract."""
     pairs = [c for c in contracts() if c["type"] == "forbidden"]
     sides = [{str(m).split(".")[1] for m in c["source_modules"]} for c in pairs]  # type: ignore[attr-defined]
     makes = next(side for side in sides if "bench" in side)
     reads = next(side for side in sides if "estimation" in side)
-    return {"makes data, holds the truth": makes, "reads data, never sees the truth": reads}
+    return {
+        "makes data, contains true alpha": makes,
+        "analyses data without true alpha": reads,
+    }
 
 
 def side(room: str) -> str:
-    """Return the side of the contract on which a package is."""
+    """Return the group to which a package belongs by the contract."""
     for name, rooms in sides().items():
         if room in rooms:
             return name
     levels = layers()
     at = next(k for k, level in enumerate(levels) if room in level)
     both = next(k for k, level in enumerate(levels) if "planning" in level)
-    return "imports from both sides" if at <= both else "used by both sides"
+    return "imports from both groups" if at <= both else "used by both groups"
 
 
 def first_line(room: str) -> str:
@@ -117,7 +120,7 @@ def picture() -> str:
     makes, reads = ([level for level in levels if level] for levels in (makes, reads))
     above, floor = (
         [level for level in layers() if side(level[0]) == name]
-        for name in ("imports from both sides", "used by both sides")
+        for name in ("imports from both groups", "used by both groups")
     )
 
     roof, walls = stories(above, MARGIN, whole, MARGIN)

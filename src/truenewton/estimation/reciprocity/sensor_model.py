@@ -1,22 +1,22 @@
-"""The unknowns of reciprocity, and what the sensors see at given offsets.
+"""The unknowns of reciprocity, and the readings of the sensors at given offsets.
 
 The unknowns are the logarithms of alpha and of the sensor gains, and the offsets of the sensors
-from their magnets. H maps displacements at the sensors to those at the magnets, where the forces do
-work.
+from their magnets. The magnets are at x_j, where the forces do work, and the sensors at
+x_j - delta_j. H converts displacements at the sensors to displacements at the magnets.
 
-Between its actuators the shell bends nearly as a thin plate. The smoothest plate through what the
-sensors see at s = x - delta,
+If the shell is not modelled, its shape is that of a thin plate through the readings:
 
-    u(p) = sum_k a_k phi(p - x_k) + b (1, p),    sum a = 0,  sum a x = 0,    phi = r^2 log r
+    u(x) = sum_k beta_k phi(|x - x_k|) + gamma (1, x),    phi(d) = d^2 log d
+    sum beta = 0,  sum beta x = 0
 
-has its forces a at the magnets, x. H maps u(s) to u(x), G_x and G_y to its slopes at the sensors.
-As u is linear in the values that it interpolates, the change of H with an offset is exact:
+G_x and G_y convert displacements at the sensors to slopes there. u is linear in the readings z, so
+the derivative of H by an offset is exact:
 
     d(H z) / d(delta_xj) = H e_j (G_x z)_j
 
-A model of the shell is more accurate: sensors at s read N(delta) times what they would read at
-their magnets, and H = H_0 N^-1, G_x = N_x N^-1 with N_x the derivative of N along x. N is a series
-of second order in the offsets, row by row, from which H and G follow exactly.
+A model of the shell is more accurate: H = H_0 Lambda^-1 and G_x = Lambda_x Lambda^-1. H_0 is H for
+sensors at their magnets. Lambda(delta) converts readings at the magnets to readings at the sensors,
+to second order in the offset of each sensor. Lambda_x is its derivative along x.
 """
 
 from __future__ import annotations
@@ -260,7 +260,7 @@ def _linear(of: Array) -> Array:
 
 
 def _plate(of: Array, centres: Array) -> tuple[Array, Array, Array]:
-    """Return (n, n) r^2 log r of positions (2, n) from centres, and its slopes along x and y."""
+    """Return (n, n) d^2 log d of positions (2, n) from centres, and its slopes along x and y."""
     x, y = of[:, :, None] - centres[:, None, :]
     square = x**2 + y**2
     log = np.log(np.where(square > 0.0, square, 1.0))
