@@ -324,7 +324,7 @@ def test_commands_take_segments(folder, inside, tmp_path, monkeypatch):
     assert "a calibration of several segments" in said
     monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
     for path in (out, folder):
-        assert inside("figures", path, "-o", tmp_path / "figures")[1].startswith("verdict: ")
+        assert inside("figures", path, "-o", tmp_path / "figures")[1].startswith("  verdict  ")
     code, said, _ = inside("info", folder)
     assert code == 0
     assert "alpha is determined for 3" in said

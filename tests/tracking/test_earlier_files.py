@@ -122,7 +122,7 @@ def test_a_calibration_without_temperature_is_taken_and_said(inside, written, tm
     code, out, err = inside("recalibrate", written / "run", "--known", tmp_path / "cold.fits",
                             "--actuators", "auto")  # fmt: skip
     assert (code, err) == (0, "")
-    assert "Not all temperatures are known" in out
+    assert "Not all temperatures are recorded" in out
     code, _, err = inside("track", tmp_path / "cold.fits", written / "calibration-1.fits")
     assert code == 2
     assert "cold.fits: has no temperature" in err
