@@ -212,7 +212,7 @@ def calibrate(
         'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which uses the
         readings of the sensors; 'auto', reciprocity if it is accepted, otherwise
         'ml', with the reason in the verdict. By default 'auto' for a matrix and with
-        ``motion``, otherwise 'ml' (docs/decisions.md, 21).
+        ``motion``, otherwise 'ml' (docs/decisions.md).
     population
         Take the actuators as samples of one normal population of unknown spread, which pulls poorly
         determined patterns toward the mean. With 'ml' only; the result names it.
