@@ -89,8 +89,8 @@ def relabelled(true: int, said: int) -> Callable[[Day], None]:
     return happens
 
 
-fault("one ring file labelled bare", cause="label|load is another|file's load")(relabelled(1, 0))
-fault("one bare file labelled ring", cause="label|load is another|file's load")(relabelled(0, 1))
+fault("one ring file labelled bare", cause="wrong LOAD of a file")(relabelled(1, 0))
+fault("one bare file labelled ring", cause="wrong LOAD of a file")(relabelled(0, 1))
 
 
 @fault("a file is the copy of another", cause="cop(y|ies)")
