@@ -275,9 +275,7 @@ def test_the_hexagon_and_the_wall_of_the_page(inside, tmp_path, monkeypatch):
         PAGE.read_text(encoding="utf-8").split("## Any outline")[1].split("## Segments")
     )
     (mine,) = re.findall(r'```toml\n(name = "HEXAGON".*?)```', text, re.DOTALL)
-    (edge,) = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)
-    for name, block in (("hexagon.toml", mine), ("edge.csv", edge)):
-        (tmp_path / name).write_text(block)
+    (tmp_path / "hexagon.toml").write_text(mine)
     monkeypatch.chdir(tmp_path)
     (places,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(places, {})
