@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.linalg
+from bokeh.models import Label
 
 import truenewton as tn
 from studies.comparison import LAWS, SCATTER, pair, with_glass
@@ -15,6 +16,7 @@ from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.linalg import symmetrised
 from truenewton.records.campaign import Campaign
+from truenewton.report.page.views import change_views
 
 MATRIX = measured_or_made("p45")
 EXACT = true_stiffness(MATRIX)
@@ -260,6 +262,10 @@ def test_the_command_prints_and_writes(tmp_path, inside):
     assert len(table.read_text(encoding="utf-8").splitlines()) == 46
     page = tmp_path / "changes.html"
     assert inside("report", old, new, "-o", page)[1].startswith("Sound. 4 of 45 actuators changed.")
+    by_ring = change_views(tn.compare(*changed[:2])).views[1].plot
+    [label] = by_ring.select({"type": Label})
+    assert label.text == f"▼ {MATRIX.layout.id[changed[3][1]]}: -200 %"  # the reversed coil
+    assert -25.0 < by_ring.y_range.start < -15.0  # below the coil that lost 15 %
     shown = page.read_text(encoding="utf-8")
     assert "change of sensor gain" in shown
 

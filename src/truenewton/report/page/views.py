@@ -183,15 +183,25 @@ def alpha_by_ring(
                  nonselection_line_alpha=0.2)  # fmt: skip
     _actuator_points(plot, source, layout, "alpha", layers)
     plot.yaxis.axis_label = ALPHA
-    if (reversed_coils := np.flatnonzero(alpha < 0.0)).size:  # they would stretch the axis
-        plot.y_range.end = 1.02 * np.nanmax(alpha)
-        plot.y_range.start = 0.94 * np.nanmin(alpha[alpha > 0.0])
-        numbers, ids = numbers_by_ring(layout), layout.id
-        for k in reversed_coils.tolist():
-            plot.add_layout(Label(x=int(numbers[k]), y=2, y_units="screen", text_color=ALARM,
-                                  text=f"▼ {ids[k]}: {alpha[k]:.2f}", text_font=FONT,
-                                  text_font_size="0.75em"))  # fmt: skip
+    texts = {k: f"{alpha[k]:.2f}" for k in np.flatnonzero(alpha < 0.0).tolist()}
+    _mark_reversed(plot, layout, texts, alpha[alpha > 0.0])
     return plot
+
+
+def _mark_reversed(plot: Plot, layout: Layout, texts: dict[int, str], shown: Array) -> None:
+    """Name reversed coils at the lower edge, with their values; they would stretch the axis.
+
+    The axis has the range of the values that are shown.
+    """
+    if not texts:
+        return
+    low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
+    plot.y_range.start, plot.y_range.end = low - 0.15 * (high - low), high + 0.05 * (high - low)
+    numbers = numbers_by_ring(layout)
+    for k, text in texts.items():
+        plot.add_layout(Label(x=int(numbers[k]), y=2, y_units="screen", text_color=ALARM,
+                              text=f"▼ {layout.id[k]}: {text}", text_font=FONT,
+                              text_font_size="0.75em"))  # fmt: skip
 
 
 def change_by_ring(
@@ -208,6 +218,11 @@ def change_by_ring(
                                       text_font_size="0.75em"))  # fmt: skip
     _actuator_points(plot, source, layout, layers[0].key, layers)
     plot.yaxis.axis_label = layers[0].title
+    [change, *_] = (layer.values for layer in layers if layer.unit == "%")
+    reversed_coils, values = change < -100.0, layers[0].values
+    texts = {k: f"{change[k]:.0f} %" for k in np.flatnonzero(reversed_coils).tolist()}
+    shown = np.append(values[~reversed_coils], [0.0] if np.isnan(limit) else [-limit, limit])
+    _mark_reversed(plot, layout, texts, shown)
     return plot
 
 
