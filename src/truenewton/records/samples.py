@@ -3,7 +3,7 @@
 Consecutive samples with the same SHAPE and SIGN are one row, their mean. Samples with SHAPE 0, or
 that are not VALID, are taken between shapes and are not used. Samples of a control loop are
 correlated, so the error of their mean is not their scatter over the root of their number: it is
-estimated from the means of eight batches of each row (as FORCERR of the simulated loop).
+estimated from the means of eight batches of each row (a bench uses four).
 """
 
 from __future__ import annotations
