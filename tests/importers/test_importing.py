@@ -598,10 +598,10 @@ def test_import_says_who_is_left_out_only_if_somebody_is():
     k[random.choice(45, 8, replace=False)] *= 1.0 + 0.3 * random.standard_normal((8, 45))
     text = str(judge(replace(sound, stiffness=k)).lines)
     assert "no actuator was left out" in text
-    assert "calibrate leaves them out" not in text
+    assert "excluded by calibrate" not in text
     one, bad = with_faults(sound, 5, 1, "sign")
     text = str(judge(one).lines)
-    assert f"actuator {sound.layout.id[bad.pop()]}: wrong sign (calibrate leaves" in text
+    assert f"actuator {sound.layout.id[bad.pop()]}: wrong sign (excluded" in text
 
 
 def test_a_supervisors_folder_is_to_be_imported_first_and_a_calibration_to_be_fits(

@@ -71,7 +71,7 @@ def test_cycles_with_positions_tell_their_modes(p45_findings):
     ends = f"{stiffness[3] / 1e3:.1f} kN/m to {stiffness[-1] / 1e6:.1f} MN/m"
     assert f"45 modes. Elastic modes: {ends}" in words
     assert f"{np.degrees(found.comparison.distance):.2g} deg rms" in words
-    assert "Measured stiffness: 90 shapes (those of each load), 360 rows; uncertainty" in words
+    assert "Measured stiffness: 90 shapes (counted for each load), 360 rows; uncertainty" in words
     [faults] = parts["modes"].tables
     for row, name in zip(faults.rows, ("asymmetry", "imbalance"), strict=True):
         for cell, base in zip(row[1:], (found.before, found.after), strict=True):

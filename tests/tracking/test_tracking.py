@@ -300,14 +300,14 @@ def test_what_cannot_be_tracked_is_refused():
 def test_two_units_of_one_name_are_told_apart():
     days = drawn(1, K)
     other = [dataclasses.replace(day, alpha=np.roll(day.alpha, 7)) for day in days[3:]]
-    with pytest.raises(CampaignMismatch, match="one unit"):
+    with pytest.raises(CampaignMismatch, match="same mirror"):
         tn.track(*days[:3], *other)
     # Nor is it hidden by a day that is so noisy that it may be anything.
     noise = 1 + 0.25 * np.random.default_rng(4).standard_normal(45)
     wild = dataclasses.replace(
         days[1], alpha=days[1].alpha * noise, statistical_error=0.2 * days[1].alpha
     )
-    with pytest.raises(CampaignMismatch, match="one unit"):
+    with pytest.raises(CampaignMismatch, match="same mirror"):
         tn.track(days[0], wild, *other)
 
 
@@ -423,7 +423,7 @@ def test_the_command_tells_people_and_scripts(inside, tmp_path):
     files = sorted(tmp_path.glob("*.fits"))
     code, out, err = inside("track", *files, "-o", tmp_path / "t.fits", "--accuracy", "0.004")
     assert (code, err) == (0, "")
-    for words in ("temperature, mean", "spread of actuators", "no outliers",
+    for words in ("coefficient k, mean", "spread of actuators", "no outliers",
                   "valid to 0.4 % from", f"written: {tmp_path / 't.fits'}", "0.fits"):  # fmt: skip
         assert words in out
     assert "spread of actuators" in inside("info", tmp_path / "t.fits")[1]

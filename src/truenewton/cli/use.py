@@ -53,7 +53,7 @@ def run_report(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Write one page with verdict, map, residuals and inputs, or on the change of two states."""
+    """Write one page: verdict, map, residuals and inputs, or the comparison of two states."""
     from truenewton.comparison.compare import compare
     from truenewton.reading import read_alpha, read_chosen, read_compared
     from truenewton.report.findings import investigate

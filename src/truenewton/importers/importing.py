@@ -454,7 +454,7 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
     for reason in dict.fromkeys(each.detail for each in left_out):
         ids = [i for each in left_out if each.detail == reason for i in each.actuators]
         which = named("actuator", ids, MAX_NAMED)
-        lines.append(("do not fit", f"{which}: {reason} (calibrate leaves them out)"))
+        lines.append(("do not fit", f"{which}: {reason} (excluded by calibrate)"))
     return Judged(tuple(lines), off, facts.looks_transposed, bool(balanced))
 
 

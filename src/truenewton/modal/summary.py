@@ -54,7 +54,7 @@ def measured_text(measured: MeasuredStiffness) -> str:
     """Return the number of shapes and rows of a stiffness, and its error."""
     m = measured
     return (
-        f"{counted(m.shapes, 'shape')} (those of each load), {counted(m.rows, 'row')}"
+        f"{counted(m.shapes, 'shape')} (counted for each load), {counted(m.rows, 'row')}"
         + (f"; uncertainty {percent(m.relative_error)}" if math.isfinite(m.relative_error) else "")
         + (f", chi2/DOF {m.misfit:.3g}" if math.isfinite(m.misfit) else "")
         + (f"; {counted(m.rejected, 'row')} left out" if m.rejected else "")
@@ -126,7 +126,7 @@ def headline(findings: ModalFindings) -> str:
     base, c = findings.after, findings.calibration
     count = base.modes.stiffness.size
     return (
-        f"{base.matrix.instrument}: {count} stiffness modes (alpha: method {c.method}, scale"
+        f"{base.matrix.instrument}: {count} stiffness modes (alpha: method {c.method}, scale:"
         f" {c.scale})"
     )
 

@@ -63,7 +63,11 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
         ("smallest gap", f"{1e6 * strain.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
     ]  # fmt: skip
     yield from starmap(row, rows)
-    yield row("order of the loads", ", ".join(map(str, order)), f"turns = {plan.turns}")
+    yield row(
+        "order of the loads",
+        ", ".join(map(str, order)),
+        f"cycles of each load; turns = {plan.turns}",
+    )
     if len(outcome.orders) > 1:
         yield _turns_line(outcome)
     if (third := outcome.third_load) is not None:

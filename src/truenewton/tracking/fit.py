@@ -195,7 +195,7 @@ def _refuse_other_units(days: Sequence[DatedCalibration], on: NDArray[np.bool_])
         raise CampaignMismatch(
             f"alpha of a typical actuator differs by {100 * apart[worst]:.2g} % from that in"
             f" {days[0].name}, more than any temperature explains",
-            remedy="track calibrations of one unit",
+            remedy="track only calibrations of the same mirror",
             path=days[worst].name,
         )
 

@@ -17,6 +17,7 @@ from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import chance_text, counted, numbered, row, table_lines, with_error
 from truenewton.tracking.law import ACTUATORS, DAYS, Tracking, Validity, validity_of
 
+NAMES = {"temperature": "coefficient k", "drift": "drift"}
 UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
     "temperature": "temperature coefficient {} sigma from the population",
@@ -65,7 +66,7 @@ def summary_rows(tracking: Tracking) -> Iterator[tuple[str, str]]:
         unit, (low, high) = UNITS[population.effect], population.spread_interval
         mean = with_error(100 * population.mean, 100 * population.mean_error)
         within = f"95 % interval {100 * low:.2g} to {100 * high:.2g} {unit}"
-        yield (f"{population.effect}, mean", f"{mean} {unit}")
+        yield (f"{NAMES[population.effect]}, mean", f"{mean} {unit}")
         yield ("  spread of actuators", f"{100 * population.spread:.2g} {unit}, {within}")
     if t.scatter_degrees:
         own, common = (f"{100 * s:.2g} %" for s in (np.nanmedian(t.scatter), t.common_scatter))

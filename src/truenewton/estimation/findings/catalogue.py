@@ -52,9 +52,7 @@ def _of_silent(name: str, remedy: str) -> Entry:
 
 
 _MORE_SIGNAL = "repeat more often, use larger forces, or add shapes"
-_GIVE_MIRROR = (
-    "if you did not, name the mirror (--mirror). Check the positions and order of the sensors"
-)
+_GIVE_MIRROR = "if you did not use --mirror, add it. Check the positions and order of the sensors"
 _CHECK_WEIGHT = (
     "check WEIGHT and its unit (N: kilograms times -9.81), and the unit of FORCE. B has the same"
     " error. If a load is tilted, alpha is wrong as well"
@@ -110,7 +108,11 @@ ENTRIES: dict[Code, Entry] = {
         remedy="check its electronics. If you need POSITION, leave these files out",
     ),
     Code.ACTUATOR_OFF: Entry("actuator is off", cured="left out"),
-    Code.ACTUATOR_MISFIT: Entry("actuator does not fit", cured="left out"),
+    Code.ACTUATOR_MISFIT: Entry(
+        "actuator does not fit",
+        sentence="excluded {actuators:names actuator}: {detail}",
+        cured="left out",
+    ),
     Code.COPIED_FILE: _of_input(
         "copy of another file", "restore the original of the copy, or remove it"
     ),
@@ -488,8 +490,8 @@ ENTRIES: dict[Code, Entry] = {
     Code.PAIR_UNITS: _fact(
         Level.DOUBTFUL,
         "the changes of alpha scatter by {scatter:percent} over all actuators: the old and the new"
-        " data are probably not of the same mirror, or not of the same unit of it",
-        "check that both were measured on the same unit of the mirror",
+        " data are probably from two mirrors",
+        "check that both were measured on the same mirror, not on two of one type",
     ),
     Code.PAIR_PATTERN: _fact(
         Level.DOUBTFUL,

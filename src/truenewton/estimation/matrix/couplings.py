@@ -25,7 +25,7 @@ NEAR_SPACINGS = 6.0  # spacings within which actuators are coupled noticeably
 MIN_PLACE_DISTANCE = 0.3  # spacings from its X and Y, beyond which an actuator is misplaced
 MAX_TYPICAL_DISTANCE = 0.1  # spacings: median distance if the inferred positions can be used
 MIN_PLACE_RATIO = 10.0  # distance relative to the median of all
-ELSEWHERE = "is not at its X and Y"
+ELSEWHERE = "not at its X and Y"
 
 
 def relative_couplings(k: Array) -> Array:

@@ -240,7 +240,7 @@ MIN_EXCHANGE_GAIN = 1.2  # misfit relative to that with both exchanged; neighbou
 
 OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
 SENSOR_SIGN = "its sensor has the other sign"
-SENSOR_GAIN, SENSOR = "its sensor has another gain", "its sensor reads something else"
+SENSOR_GAIN, SENSOR = "its sensor gain is an outlier", "its sensor reads something else"
 ROW_UNLIKE_COLUMN = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
 NO_SENSOR, NO_FORCE = "its sensor reads nothing", "its row is zero, though it pushed"
