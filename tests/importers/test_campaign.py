@@ -1,5 +1,7 @@
 """`truenewton import campaign.toml`: cycles in files of other software become cycle files."""
 
+import os
+
 import h5py
 import numpy as np
 import pandas as pd
@@ -89,6 +91,11 @@ def test_files_of_a_campaign_become_cycle_files(tmp_path, inside, ending, change
             "are up to 0.1 mm from the axis, and the mirror weighs 2.9",
         ),
         ("F{id}", "shape", "'shape' has shape (28,); give an array of rows by 14 actuators, or"),
+        (
+            '"0.5 g"\nfiles',
+            "0.5\nfiles",
+            'unit N, added_error has none; write added_error = "0.5 N"',
+        ),
         ("added_error", "added_errors", "'added_errors'; did you mean 'added_error'?"),
         ("mN", "mn", "bare-1.csv: FORCE is in mn; give it in N or a unit that converts to it"),
         ('files = ["bare-1.csv", "bare-2.csv"]', "files = []", "load 'bare' has no files"),
@@ -110,6 +117,36 @@ def test_centimetres_for_millimetres_are_doubted_and_options_of_a_matrix_refused
     code, _, error = inside("import", path, "positions.csv", "--transpose")
     assert code == 2
     assert "only a matrix is imported with POSITIONS and --transpose; give " in error
+
+
+def test_an_error_of_the_mirror_without_the_unit_of_its_weight_is_refused(tmp_path, inside):
+    path = written(tmp_path, "csv", {"weight = -2": 'weight = "298 g"  # -2', '"0.5 g"  ': "0.5  "})
+    code, _, error = inside("import", path)
+    assert code == 2
+    assert "weight has the unit g, weight_error has none; write weight_error = " in error
+
+
+def test_an_added_weight_beyond_the_mirror_and_the_date_of_a_file_are_shown(tmp_path, inside):
+    path = written(tmp_path, "csv", {"-0.289 N": "30 kg"})
+    os.utime(tmp_path / "bare-1.csv", (1.7e9, 1.7e9))
+    code, out, _ = inside("import", path, "-o", tmp_path / "made")
+    assert code == 0
+    assert "UNLIKELY  load ring is 101 times the weight of the mirror: check the unit" in out
+    assert "date 2023-11-14 22:13:20 UTC (of the file bare-1.csv; to change it," in out
+    path = written(tmp_path, "csv", {"# date": "date"})
+    out = inside("import", path)[1]
+    assert "UNLIKELY" not in out
+    assert "date 2026-11-21 09:30:00 UTC (as specified)" in out
+    assert "only one load" not in out
+
+
+def test_a_campaign_of_one_load_is_called_so_before_the_next_command(tmp_path, inside):
+    path = written(tmp_path, "csv", {})
+    bare = path.read_text().rpartition("[[loads]]")[0]
+    path.write_text(bare)
+    out = inside("import", path, "-o", tmp_path / "made")[1]
+    assert "only one load, bare: alpha also needs a load of another" in out.partition("next:")[0]
+    assert "there is only one load, 'bare'" in inside("calibrate", tmp_path / "made")[2]
 
 
 def test_segments_are_described_one_by_one_with_text_ids_in_any_order(tmp_path, inside):

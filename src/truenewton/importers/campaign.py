@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import os
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
@@ -121,16 +122,14 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
             in_unit(getattr(described, name), quantity.unit, name, quantity.of_mass)
             for name, quantity in MIRROR_WEIGHT.items()
         )
+        _require_unit("weight", described.weight, described.weight_error)
         more: dict[str, Any] = {name: getattr(described, name) for name in OPTIONAL}
     runs: dict[Load, list[dict[str, Any]]] = {}
     lines = [
         f"{described.instrument}: {actuators.n} actuators, weight {weight:.4g} ± {error:.2g} N",
         f"  positions {', '.join(notes)}: {described.positions.file}",
     ]
-    for load in loads:
-        if load.added:
-            line = f"  load {load.name}: {load.added:.4g} ± {load.added_error:.2g} N added"
-            lines.append(line)
+    lines += _load_lines(loads, weight)
     for load, files in zip(loads, described.loads, strict=True):
         cycles = runs.setdefault(load, [])
         for name in files.files:
@@ -142,11 +141,8 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
             lines.append(
                 f"  {load.name} {len(cycles):<4}{rows} rows, forces up to {largest:.3g} N: {name}"
             )
-    date = described.date
-    if date is None:
-        first = (folder / described.loads[0].files[0]).stat().st_mtime
-        date = datetime.datetime.fromtimestamp(int(first), tz=datetime.UTC)
-    more["date"] = date.replace(tzinfo=date.tzinfo or datetime.UTC)
+    more["date"], source = _date_of(folder, described)
+    lines.append(f"  date {more['date']:%Y-%m-%d %H:%M:%S} UTC ({source})")
     with naming(path):
         made = Campaign.from_arrays(described.instrument, actuators, weight, error, runs, **more)
         if doubt := check_size(actuators, made.weight):
@@ -181,7 +177,42 @@ def _load_of(given: LoadFiles) -> Load:
     if given.added_error is None and given.added:
         raise FormatError(f"load '{given.name}' lacks 'added_error'", remedy="add it")
     values = {name: value for name, value in vars(given).items() if name != "files"}
-    return Load(**values | {"added_error": given.added_error or 0.0})
+    load = Load(**values | {"added_error": given.added_error or 0.0})
+    _require_unit("added", given.added, given.added_error)
+    return load
+
+
+def _require_unit(name: str, value: float | str, error: float | str | None) -> None:
+    """Refuse a plain number as the error of a weight with a unit: it would be in N, beside g."""
+    if isinstance(value, str) and error and not isinstance(error, str):
+        unit = value.strip().lstrip("+-.0123456789eE ")
+        raise FormatError(
+            f"{name} has the unit {unit}, {name}_error has none",
+            remedy=f'write {name}_error = "{error:g} {unit}"',
+        )
+
+
+def _load_lines(loads: Sequence[Load], weight: float) -> Iterator[str]:
+    """Yield lines on the added weights, and on what is unlikely of them or missing."""
+    for load in loads:
+        if load.added:
+            yield f"  load {load.name}: {load.added:.4g} ± {load.added_error:.2g} N added"
+        if load.added < weight:
+            times = f"{load.added / weight:.3g} times the weight of the mirror"
+            yield f"  UNLIKELY  load {load.name} is {times}: check the unit of added"
+    if len(loads) == 1:
+        yield f"  only one load, {loads[0].name}: alpha also needs a load of another known weight"
+
+
+def _date_of(folder: Path, described: CampaignFiles) -> tuple[datetime.datetime, str]:
+    """Return the date of the first cycle (UTC), and where it is from."""
+    if described.date is None:
+        first = described.loads[0].files[0]
+        seconds = int((folder / first).stat().st_mtime)
+        how = f"of the file {first}; to change it, specify date"
+        return datetime.datetime.fromtimestamp(seconds, tz=datetime.UTC), how
+    date = described.date
+    return date.replace(tzinfo=date.tzinfo or datetime.UTC).astimezone(datetime.UTC), "as specified"
 
 
 def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) -> dict[str, Any]:
