@@ -192,6 +192,8 @@ def test_texts_as_ids_are_kept_beside_numbers_in_the_order_of_the_positions(
     out = inside("calibrate", tmp_path / "made", "-o", tmp_path / "a.fits", "--exclude", "F03")[1]
     known = tn.read_calibration(tmp_path / "a.fits")
     assert np.isnan(known.alpha_of(["F03"]))
+    with pytest.raises(tn.errors.UnknownName, match="there is no actuator 4; IDs run from 1"):
+        known.alpha_of(["4"])  # docs/before-loading.md: a channel is no number of a row
     lowest = known.layout.shown[np.nanargmin(known.alpha)]
     assert f"lowest: actuator {lowest}" in " ".join(out.split())
     known.write(tmp_path / "a.csv")
