@@ -37,6 +37,7 @@ from truenewton.errors import (
     UnknownName,
 )
 from truenewton.estimation.findings.estimate import NoiseSource
+from truenewton.estimation.findings.finding import as_sentences
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.estimation.paper.equations import imbalance_covariance, squared_distances
@@ -433,12 +434,13 @@ def _of_campaign(
 def _modes(data: Campaign | StiffnessMatrix, find: Callable[[], Modal]) -> tuple[Modal | None, str]:
     """Return the modal base, or a step towards it, or why there is none."""
     if data.layout.n > MAX_MODES:
-        return None, f"Those of {data.layout.n} actuators take minutes: use truenewton modes."
+        how = f"Those of {data.layout.n} actuators take minutes. Use truenewton modes."
+        return None, f"Stiffness modes are not shown. {how}"
     try:
         return find(), ""
     except TrueNewtonError as error:
-        why = "; ".join(filter(None, (error.fault, error.remedy)))
-        return None, f"The data do not determine them: {why}."
+        why = as_sentences(Fault(error.fault, error.remedy))
+        return None, f"Stiffness modes are not shown. {why}"
 
 
 def require_calibration(findings: Findings | Parts[Calibration]) -> AnyCalibration:
