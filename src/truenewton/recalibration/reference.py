@@ -40,6 +40,7 @@ from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.estimation.reciprocity.regression import noise_of_rows, regressed, variance_shares
 from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
 from truenewton.linalg import inverse_of_positive
+from truenewton.progress import report_progress
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.tracking.law import Outlier
@@ -172,47 +173,58 @@ class _Residuals:
     weights: Array
     scale: Array
 
-    def through(self, i: int, middle: Array) -> tuple[Array, Array]:
-        """Return (R, 2n) J_i M and (R,) the diagonal of J_i M J_i' for a (2n, 2n) M.
-
-        J_i are the derivatives of the force of actuator i by the factors.
-        """
-        by_gains = self.z * self.t[i]
-        by_alpha = by_gains.sum(axis=1)
-        left = by_gains @ middle[len(self.t) :] + by_alpha[:, None] * middle[i]
-        return left, (left[:, len(self.t) :] * by_gains).sum(axis=1) + left[:, i] * by_alpha
-
 
 def _by_elements(at: _Residuals, inverse: Array, prior: Array) -> Array:
     """Return the (2n, 2n) covariance of factors if the elements of K have independent noise.
 
     The variance of u_ri is c D_r N_ii + sum_j z_rj^2 (A + B t_ij^2), with D of the whitening and
     the likeliest c, A and B. With the (2n, 2n) ``inverse`` H^-1 of information and prior, the
-    factors are H^-1 J'W u with the covariance H^-1 (J'W V W J + prior) H^-1 for V of u.
+    factors are H^-1 J'W u with the covariance H^-1 (J'W V W J + prior) H^-1 for V of u. A fit takes
+    up 2 H^-1 J'W V - H^-1 (J'W V W J + prior) H^-1 of the variance of each u.
     """
-    n, d = len(at.t), at.scale[:, 0] ** 2
-    of_rows = d[:, None] * np.diag(at.noise)
-    equal = np.broadcast_to((at.z**2).sum(axis=1)[:, None], at.u.shape)
-    terms = np.stack([of_rows, equal, at.z**2 @ (at.t**2).T], axis=2)
-    forces, by_gains = at.z @ at.t.T, at.weights @ at.t
-    scaled = at.scale * at.z
-    _, by_rows = factor_equations(at.t, at.weights, scaled.T @ scaled, at.weights)
-    free = np.ones_like(at.u)
+    n, t, z, u, d = len(at.t), at.t, at.z, at.u, at.scale[:, 0] ** 2
+    if len(z) > n:  # noise of K and factors act on n combinations of the rows, the first
+        turn, z = np.linalg.qr(z, mode="complete")
+        u, d = turn.T @ u, (turn**2).T @ d
+    equal = np.broadcast_to((z**2).sum(axis=1)[:, None], u.shape)
+    terms = np.stack([d[:, None] * np.diag(at.noise), equal, z**2 @ (t**2).T], axis=2)
+    z = z[:n]
+    forces, by_gains, square = z @ t.T, at.weights @ t, z.T @ z
+    scaled, both = at.scale * at.z, np.hstack([at.weights, by_gains])
+    _, by_rows = factor_equations(t, at.weights, scaled.T @ scaled, at.weights)
+    seen = np.hstack([square @ t.T, square])
+    proportional, taken = np.zeros_like(inverse), np.empty((len(z), n, 3))
+    for i in range(n):
+        report_progress("errors by the noise of the matrix", i / n)
+        pull = np.hstack([forces * at.weights[i], z * by_gains[i]])  # (R, 2n) of J'W
+        proportional += pull.T @ (((z * t[i] ** 2) @ z.T) @ pull)
+        by_gain = z * t[i]
+        left = by_gain @ inverse[n:] + by_gain.sum(axis=1)[:, None] * inverse[i]  # J_i H^-1
+        met = z * (left @ (seen * both[i]).T)
+        own = d[: len(z)] * _own(by_gain, i, inverse)
+        taken[:, i] = np.stack([own, met.sum(axis=1), met @ t[i] ** 2], axis=1)
+    middles = np.stack([by_rows, (both.T @ both) * (seen.T @ seen), proportional])
+    free = np.ones_like(u)
     for _ in range(LAW_PASSES):
         shows = free > MIN_FREE
-        shares = variance_shares(terms[shows], at.u[shows] ** 2 / free[shows])
-        middle, absorbed = shares[0] * by_rows, np.empty_like(at.u)
+        shares = variance_shares(terms[shows], u[shows] ** 2 / free[shows])
+        covariance = np.asarray(inverse @ (np.tensordot(shares, middles, 1) + prior) @ inverse)
+        absorbed = 2.0 * taken @ shares
         for i in range(n):
-            of_row = (at.z * (shares[1] + shares[2] * at.t[i] ** 2)) @ at.z.T  # (R, R)
-            pull = np.hstack([forces * at.weights[i], at.z * by_gains[i]])  # (R, 2n) of J'W
-            middle += pull.T @ (of_row @ pull)
-            left, own = at.through(i, inverse)
-            absorbed[:, i] = 2.0 * (((left @ pull.T) * of_row).sum(axis=1) + shares[0] * d * own)
-        covariance = np.asarray(inverse @ (middle + prior) @ inverse)
-        for i in range(n):
-            absorbed[:, i] -= at.through(i, covariance)[1]
-        free = 1.0 - absorbed / (terms @ shares)
+            absorbed[:, i] -= _own(z * t[i], i, covariance)
+        free[: len(z)] = 1.0 - absorbed / (terms[: len(z)] @ shares)
     return covariance
+
+
+def _own(by_gain: Array, i: int, middle: Array) -> Array:
+    """Return (R,) the diagonal of J_i M J_i' for a (2n, 2n) M.
+
+    J_i are the derivatives of the force of actuator i by all factors, ``by_gain`` (R, n) those by
+    b; the sum of these is that by a_i.
+    """
+    n, by_alpha = by_gain.shape[1], by_gain.sum(axis=1)
+    cross = 2.0 * by_gain @ middle[n:, i] + by_alpha * middle[i, i]
+    return np.asarray(((by_gain @ middle[n:, n:]) * by_gain).sum(axis=1) + by_alpha * cross)
 
 
 def factor_equations(t: Array, left: Array, right: Array, pull: Array) -> tuple[Array, Array]:
