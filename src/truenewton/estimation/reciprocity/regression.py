@@ -1,8 +1,8 @@
 """The stiffness that a campaign measured, its noise, and the states of the mirror in it.
 
-K_c = S_cz S_zz^-1 has noise of covariance N_c for rows, S_zz^-1 for columns. States V with
-V'S_zz^-1 V = 1 and diagonal W'N W, N = D_alpha N_c D_alpha, both apart from rigid motions in these
-metrics, have independent residuals; so the sums are the likelihood itself.
+K_c = C_cz C_zz^-1 (C_zz: `square`) has errors of covariance N_c between rows, C_zz^-1 between
+columns. States V with V'C_zz^-1 V = 1 and diagonal W'N W, N = D_alpha N_c D_alpha, both orthogonal
+to rigid motions in these metrics, have independent residuals, so the sums are the likelihood.
 
 Actuators and sensors that do not obey reciprocity are left free before any fit. A stiffness in
 which set B exerts no force does not depend on the alpha and the sensors of B, whatever these read:
@@ -37,7 +37,7 @@ class Regressed:
     """A stiffness by regression of forces on readings."""
 
     stiffness: Array  # (n, n) K_c, commanded force per reading [N/m]
-    square: Array  # (n, n) S_zz, sum of z z' [m^2]
+    square: Array  # (n, n) C_zz, sum of z z' [m^2]
     noise: Array  # (n, n) N_c, residual covariance of the force of a row of weight 1 [N^2]
     noise_freedom: float = np.inf  # degrees of freedom of the noise
     bias_gradient: float = 0.0  # of the bias magnets' force [N/m]
@@ -112,9 +112,9 @@ def regressed(
 
     The noise of the force of a row has two parts, of forces and of positions,
 
-        N_c = a diag(s_i^2) + b K_c K_c'
+        N_c = eta_c diag(s_i^2) + eta_z K_c K_c'
 
-    whose sizes follow from the residuals of the regression along the singular vectors of K_c. What
+    whose factors follow from the residuals of the regression along the singular vectors of K_c. What
     sums of forces and torques have beyond that is added: a mirror that vibrates as a whole does so
     against the air film, whose force all actuators share.
 
@@ -151,7 +151,7 @@ def regressed(
 
 
 def refuse_unheld(square: Array) -> None:
-    """Raise RankDeficient if (n, n) S_zz lacks motions of the mirror."""
+    """Raise RankDeficient if (n, n) C_zz lacks motions of the mirror."""
     n = len(square)
     amplitude = np.sqrt(np.maximum(np.linalg.eigvalsh(square), 0.0))
     missing = int(np.count_nonzero(amplitude <= MIN_AMPLITUDE * amplitude[-1]))
