@@ -114,9 +114,9 @@ def regressed(
 
         N_c = eta_c diag(s_i^2) + eta_z K_c K_c'
 
-    whose factors follow from the residuals of the regression along the singular vectors of K_c. What
-    sums of forces and torques have beyond that is added: a mirror that vibrates as a whole does so
-    against the air film, whose force all actuators share.
+    whose factors follow from the residuals of the regression along the singular vectors of K_c.
+    Additional noise of the sums of forces and torques is added: a mirror that vibrates as a whole
+    does so against the air film, whose force all actuators share.
 
     ``moments`` contain displacements; their forces are c (1 + COILGRAD z) [N]. ``variance`` is the
     (n,) s_i^2 of one force reading of weight 1 [N^2]. BIASGRAD is in [N/m], COILGRAD in [1/m].
