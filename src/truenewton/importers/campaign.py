@@ -122,14 +122,13 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
             in_unit(getattr(described, name), quantity.unit, name, quantity.of_mass)
             for name, quantity in MIRROR_WEIGHT.items()
         )
-        _require_unit("weight", described.weight, described.weight_error)
         more: dict[str, Any] = {name: getattr(described, name) for name in OPTIONAL}
     runs: dict[Load, list[dict[str, Any]]] = {}
     lines = [
         f"{described.instrument}: {actuators.n} actuators, weight {weight:.4g} ± {error:.2g} N",
         f"  positions {', '.join(notes)}: {described.positions.file}",
     ]
-    lines += _load_lines(loads, weight)
+    lines += [*_unlikely_error("the weight", weight, error), *_load_lines(loads, weight)]
     for load, files in zip(loads, described.loads, strict=True):
         cycles = runs.setdefault(load, [])
         for name in files.files:
@@ -177,19 +176,17 @@ def _load_of(given: LoadFiles) -> Load:
     if given.added_error is None and given.added:
         raise FormatError(f"load '{given.name}' lacks 'added_error'", remedy="add it")
     values = {name: value for name, value in vars(given).items() if name != "files"}
-    load = Load(**values | {"added_error": given.added_error or 0.0})
-    _require_unit("added", given.added, given.added_error)
-    return load
+    return Load(**values | {"added_error": given.added_error or 0.0})
 
 
-def _require_unit(name: str, value: float | str, error: float | str | None) -> None:
-    """Refuse a plain number as the error of a weight with a unit: it would be in N, beside g."""
-    if isinstance(value, str) and error and not isinstance(error, str):
-        unit = value.strip().lstrip("+-.0123456789eE ")
-        raise FormatError(
-            f"{name} has the unit {unit}, {name}_error has none",
-            remedy=f'write {name}_error = "{error:g} {unit}"',
-        )
+MAX_RELATIVE_ERROR = 0.1  # of a weight: beyond, its unit is probably another than that of its error
+
+
+def _unlikely_error(what: str, weight: float, error: float) -> Iterator[str]:
+    """Yield that the error of a weight is unlikely, as a number without unit beside grams is."""
+    if weight and error > MAX_RELATIVE_ERROR * abs(weight):
+        share = f"the error of {what} is {100 * error / abs(weight):.0f} % of it"
+        yield f"  UNLIKELY  {share}: check its unit (N, if it has none)"
 
 
 def _load_lines(loads: Sequence[Load], weight: float) -> Iterator[str]:
@@ -197,6 +194,7 @@ def _load_lines(loads: Sequence[Load], weight: float) -> Iterator[str]:
     for load in loads:
         if load.added:
             yield f"  load {load.name}: {load.added:.4g} ± {load.added_error:.2g} N added"
+            yield from _unlikely_error(f"load {load.name}", load.added, load.added_error)
         if load.added < weight:
             times = f"{load.added / weight:.3g} times the weight of the mirror"
             yield f"  UNLIKELY  load {load.name} is {times}: check the unit of added"
