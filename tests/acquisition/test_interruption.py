@@ -331,7 +331,7 @@ def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_p
     plan, output = plan_file(tmp_path), tmp_path / "c"
     code, out, err = inside("acquire", plan, "-o", output)
     assert (code, err) == (0, "")
-    assert out.splitlines()[0].startswith("'bare' is on: no other load to compare with yet")
+    assert out.splitlines()[0].startswith("'bare' is on: this is assumed, because no other load")
     assert out.splitlines()[1].startswith("'ring' is on: the sum of the forces is")
     then = f"next: truenewton calibrate {output} -o alpha.fits"
     assert out.splitlines()[2:] == [f"{output}: complete, 2 loads x 2 cycles", then]

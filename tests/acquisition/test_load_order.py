@@ -271,7 +271,7 @@ def test_the_plan_says_what_each_order_costs_and_a_third_load(inside, tmp_path):
     assert (code, err) == (0, "")
     for words in (
         "order of the loads      bare 1, ring 1-3, bare 2-4, ring 4",
-        "'ring' after 30 min, 'bare' after 61 min, 'ring' after 92 min",
+        "'ring' at 30 min, 'bare' at 61 min, 'ring' at 92 min",
         "(drift per hour: alpha 0.30 %, zeros 10 uN; mounting: 10 uN)",
         "time 1 0.70 %",
         "92 min planned",

@@ -119,7 +119,7 @@ def test_the_matrix_is_the_same_from_every_kind_of_file(tmp_path, kind):
     np.testing.assert_allclose(made.matrix.stiffness, -CASE.k, rtol=1e-12)
     assert np.array_equal(~made.matrix.layout.enabled, CASE.off)
     assert "negative: sign changed" in text(made)
-    off = f"{OFF} with rows and columns of zeros, disabled: {CASE.layout.id[CASE.off][0]}"
+    off = f"{OFF} disabled, because row and column are zero: {CASE.layout.id[CASE.off][0]}"
     assert off in text(made)
     assert "orientation  not transposed" in text(made)
     assert len(made.lines) <= 10
@@ -384,7 +384,7 @@ def test_units_of_electronics_and_unlikely_units():
     assert "unit unknown" in text(steps)
     assert "UNLIKELY" not in text(newton)
     slipped = tn.stiffness_from(CASE.k, CASE.layout, unit="mN/m")
-    assert "N/m, UNLIKELY of a mirror: check it" in text(slipped)
+    assert "N/m, UNLIKELY for a mirror: check it" in text(slipped)
     counted = tn.stiffness_from(CASE.k / 41.6, CASE.layout, unit="41.6 N/m")
     np.testing.assert_allclose(counted.matrix.stiffness, newton.matrix.stiffness, rtol=1e-12)
 

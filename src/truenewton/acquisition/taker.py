@@ -180,7 +180,7 @@ def judge(
         return None, f"the loads differ by {smallest:.3g} N, too little to distinguish them"
     compared = [key for key in rest_sums if key == load.key or step[key]]
     if not compared:
-        return None, "no other load to compare with yet: taken on trust"
+        return None, "this is assumed, because no other load has been measured yet"
     for key in compared:
         change, name = total - rest_sums[key], names[key]
         changed = f"the sum of the forces changed by {change:.4g} N"
@@ -194,7 +194,7 @@ def judge(
             turned = sign if change / step[key] <= -CHANGE_RANGE[0] else ""
             return False, f"{changed} from '{name}', where {due}{turned}"
     beside = ", ".join(f"'{names[key]}'" for key in compared)
-    return True, f"the sum of the forces is {total:.4g} N, as due beside {beside}"
+    return True, f"the sum of the forces is {total:.4g} N, as expected from {beside}"
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -42,15 +42,15 @@ def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
         alpha_layer(c, "alpha", "alpha"),
         Layer("e_alpha", SIGMA, "N/N", c.error, "Total standard uncertainty of alpha (E_ALPHA)."),
         Layer("e_stat", SIGMA_STAT, "N/N", c.statistical_error,
-              "Standard uncertainty from the noise of the readings (E_STAT): it applies between"
+              "Standard uncertainty from the noise of the readings (E_STAT): use it to compare"
               " actuators of one calibration."),
         Layer("e_syst", SIGMA_SCALE, "N/N", scale_error,
               "Standard uncertainty from the weights (E_SYST), common to all actuators."),
         Layer("e_cycle", "scatter of cycles, 3σ (E_CYCLE)", "N/N", c.cycle_error,
               "Scatter of the cycles, 3 sigma, as in Ricci 2008 (E_CYCLE)."),
         Layer("leverage", "leverage", "", _leverage(c),
-              "Share of the actuator in the noise of the balance; the sum is 3. If it is small, a"
-              " fault of the actuator is hard to detect."),
+              "Share of the actuator in the noise of the balance; the sum is 3. If the share is"
+              " small, a fault of the actuator is hard to detect."),
     ]  # fmt: skip
     if evidence is not None:
         layers += [
@@ -63,7 +63,7 @@ def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
     layers += _sensor_layers(c)
     if c.halves is not None:
         layers.append(
-            Layer("halves", "even less odd modes", "", c.halves,
+            Layer("halves", "even minus odd modes", "", c.halves,
                   "Cross-validation of a matrix: relative alpha from the even elastic modes minus"
                   " alpha from the odd modes.", centre=0.0)
         )  # fmt: skip
@@ -119,8 +119,8 @@ def _sensor_layers(c: Any) -> list[Layer]:
     ]  # fmt: skip
     for axis in ("x", "y"):
         offset, error = known(axis, MILLIMETRE)
-        meaning = f"{axis} of the actuator less {axis} of its sensor (D{axis.upper()})."
-        name = f"actuator less sensor, {axis}"
+        meaning = f"{axis} of the actuator minus {axis} of its sensor (D{axis.upper()})."
+        name = f"actuator minus sensor, {axis}"
         layers.append(Layer(f"sensor_d{axis}", name, "mm", offset, meaning, error, centre=0.0))
     return layers
 

@@ -93,7 +93,7 @@ def run_simulate(
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Simulate a campaign with and without an added weight; OUTPUT.truth.fits has true values."""
+    """Simulate a campaign with and without an added weight. OUTPUT.truth.fits: true values."""
     from truenewton.bench.simulated.bench import FIDELITIES
     from truenewton.bench.simulated.static import bench_of, campaign_on, truth_of
     from truenewton.bench.simulated.truth import truth_path, write_truth

@@ -22,7 +22,7 @@ WEIGHTS_INDEPENDENT = "its error assumes two independent weighings"
 MAX_ROWS = 12  # of the table of actuators; the file contains all
 MAX_COUPLINGS = 5
 UNDETECTABLE = (
-    "a change of 0.1 % in alpha, if a patch of the glass becomes 1 % stiffer",
+    "a change of 0.1 % in alpha: a patch of glass that becomes 1 % stiffer looks the same",
     "whether alpha or the sensor gains changed in the mean; only their product is measured",
 )
 
@@ -55,11 +55,11 @@ def figures(c: Comparison) -> Iterator[tuple[str, str, str]]:
         ("alpha", c.alpha_changed, c.alpha_scatter, c.alpha_ratio_error),
         ("sensor gain", c.sensor_changed, c.sensor_scatter, c.sensor_ratio_error),
     ):
-        count = counted(int(changed.sum()), "actuator") if changed.any() else "none"
+        count = counted(int(changed.sum()), "actuator") if changed.any() else "no single actuator"
         error = percent(float(np.nanmedian(errors)))
         beyond = f"{percent(scatter)} beyond noise" if scatter else "consistent with noise"
         which = "other actuators" if changed.any() else "actuators"
-        note = f"scatter of the {which}: {beyond}; uncertainty of one: {error}"
+        note = f"scatter of the {which}: {beyond}; uncertainty of each: {error}"
         yield f"{name} changed", count, note
     for actuator, sensor, size in c.couplings[:MAX_COUPLINGS]:
         where = f"actuator {actuator}, sensor {sensor}"

@@ -412,7 +412,10 @@ def turned_sign(k: Array) -> tuple[Array, str]:
     against = np.count_nonzero(own < 0.0)
     if against <= np.count_nonzero(own > 0.0):
         return k, "positive (correct)"
-    return -k, "negative: sign changed (forces on the mirror, positive upward, hold a displacement)"
+    return (
+        -k,
+        "negative: sign changed (forces on the mirror, positive upward, maintain a displacement)",
+    )
 
 
 def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged:
@@ -444,10 +447,12 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
     pushing = any(each.code is Code.OFF_BUT_PUSHING for each in screened.warnings)
     off = gone if not pushing else np.zeros_like(gone)
     if gone.any():
-        what = "disabled" if not pushing else "left enabled, because the columns around them do not"
-        what += " balance, as if these actuators had exerted forces" if pushing else ""
-        off_ids, zero = listed(matrix.layout.id[gone], MAX_NAMED), "rows and columns of zeros"
-        lines.append(("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {off_ids}"))
+        what = "disabled, because row and column are zero"
+        if pushing:
+            what = "left enabled although row and column are zero, because the columns around them"
+            what += " do not balance, as if these actuators had exerted forces"
+        off_ids = listed(matrix.layout.id[gone], MAX_NAMED)
+        lines.append(("off", f"{np.count_nonzero(gone)} {what}: {off_ids}"))
     kept = [each for each in screened.warnings if each.code is Code.MISFITS_KEPT]
     lines += [("do not fit", each.fault) for each in kept]
     left_out = [each for each in screened.effects if each.code == Code.ACTUATOR_MISFIT]

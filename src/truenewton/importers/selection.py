@@ -336,7 +336,7 @@ def in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arra
         factor = _factor(said, "N/m", "the matrix")
         how = f"as {'specified' if unit else 'declared'}: median diagonal"
         how += f" {abs(factor) * typical:.3g} N/m"
-        doubt = "" if _is_likely(abs(factor) * typical) else ", UNLIKELY of a mirror: check it"
+        doubt = "" if _is_likely(abs(factor) * typical) else ", UNLIKELY for a mirror: check it"
         return k * factor, f"{said} {how}{doubt}"
     if not _is_likely(typical):
         per = {"N/um": 1e6, "N/mm": 1e3, "mN/um": 1e3, "N/nm": 1e9, "uN/nm": 1e3}

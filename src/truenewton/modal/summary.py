@@ -110,7 +110,8 @@ def fitting_error_text(base: ModalBase) -> str:
     """Return the wavefront that no modes correct; empty without turbulence."""
     if base.seen is None:
         return ""
-    return f"{1e9 * base.seen.fitting_error:.3g} nm rms of wavefront, which no mode corrects"
+    rms = f"{1e9 * base.seen.fitting_error:.3g} nm rms"
+    return f"{rms} of wavefront, which no mode corrects; residuals exclude it"
 
 
 def static_force_text(base: ModalBase) -> str:

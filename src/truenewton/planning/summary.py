@@ -148,8 +148,8 @@ def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
     plan, drift = outcome.ready.plan, outcome.ready.plan.drift
     order = mountings(plan, len(outcome.ready.shapes))
     if len(order) > 1:
-        changes = (f"'{each.load.name}' after {_time(each.start)}" for each in order[1:])
-        yield row("change of load to", ", ".join(changes))
+        changes = (f"'{each.load.name}' at {_time(each.start)}" for each in order[1:])
+        yield row("load changes end", ", ".join(changes))
     if len(outcome.orders) > 1:
         title = (
             f"  scale error by number of turns (drift per hour: alpha {percent(drift.alpha)},"

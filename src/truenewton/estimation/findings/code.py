@@ -246,7 +246,7 @@ class Thresholds:
     bad_fraction: float = _at(
         0.03,
         Level.REJECTED,
-        "fraction of actuators (more than two) that are dead or have negative alpha, above",
+        "fraction of actuators that are dead or have negative alpha (if more than two), above",
     )
     lowest_alpha: float = _at(0.5, Level.REJECTED, "median alpha under known weights, below")
     highest_alpha: float = _at(2.0, Level.REJECTED, "median alpha under known weights, above")
@@ -260,17 +260,17 @@ class Thresholds:
     misfit_fraction: float = _at(
         0.1,
         Level.DOUBTFUL,
-        "fraction of actuators (more than three) that do not fit a matrix, above",
+        "fraction of actuators that do not fit a matrix (if more than three), above",
     )
     asymmetry_ratio: float = _at(
         0.95,
         Level.DOUBTFUL,
-        "asymmetry of a matrix with alpha / without alpha (if over 0.5 %), above",
+        "asymmetry of a matrix with alpha / without alpha (if the latter is over 0.5 %), above",
     )
     negative_edges: float = _at(
         1.5,
         Level.DOUBTFUL,
-        "most negative elastic mode / largest value that noise alone produces, above",
+        "most negative elastic stiffness / largest value that noise alone produces, above",
     )
     pattern_share: float = _at(
         0.4,
