@@ -22,7 +22,7 @@ WEIGHTS_INDEPENDENT = "its error assumes two independent weighings"
 MAX_ROWS = 12  # of the table of actuators; the file contains all
 MAX_COUPLINGS = 5
 UNDETECTABLE = (
-    "a change of 0.1 % in alpha: a patch of glass that becomes 1 % stiffer looks the same",
+    "a change of 0.1 % in alpha, because a patch of glass that becomes 1 % stiffer looks the same",
     "whether alpha or the sensor gains changed in the mean; only their product is measured",
 )
 
