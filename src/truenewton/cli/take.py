@@ -47,7 +47,7 @@ def run_plan(
     from truenewton.acquisition.plan import template
 
     if new == (path is not None):
-        raise typer.BadParameter("give a plan, or --new to print a template")
+        raise typer.BadParameter("give either a plan, or --new to print a template")
     if target is not None and not 0 < target < 1:
         raise typer.BadParameter("--target is relative, such as 0.005 for 0.5 %")
     if path is None:

@@ -69,7 +69,7 @@ def figures(c: Comparison) -> Iterator[tuple[str, str, str]]:
     yield (
         "noise",
         percent(c.relative_noise),
-        f"of the rms matrix element, independent {c.noise_law}",
+        f"of the rms matrix element, independent between {c.noise_law}",
     )
     if np.isfinite(c.excess):
         yield "residual / repeat", f"{c.excess:.2f}", "1 if only factors changed"

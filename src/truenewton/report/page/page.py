@@ -376,7 +376,7 @@ def _budget(c: Calibration) -> Section:
             tuple(rows),
         ),
     )
-    caption = "Of a typical actuator, one sigma."
+    caption = "Error of a typical actuator, one sigma."
     return Section("budget", "Error budget", (), "budget", caption, tables=tables)
 
 
