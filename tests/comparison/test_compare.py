@@ -12,6 +12,7 @@ import truenewton as tn
 from studies.comparison import LAWS, SCATTER, pair, with_glass
 from studies.matrices import measured_or_made, true_stiffness
 from studies.simulated_matrices import without_modes
+from truenewton.comparison.summary import lines
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.linalg import symmetrised
@@ -132,6 +133,7 @@ def test_another_unit_is_doubtful_and_a_repair_of_many_actuators_is_sound(seed):
     )
     assert unit.verdict.level is Level.DOUBTFUL
     assert unit.verdict.faults[0].code is Code.PAIR_UNITS
+    assert "the stated changes or their errors may be wrong" in "\n".join(lines(unit))
     assert repair.verdict.level is Level.SOUND
     assert {*np.flatnonzero(repair.alpha_changed)} == {*five}
 

@@ -10,6 +10,7 @@ import typer
 from truenewton import errors
 from truenewton.calibration.summary import MEANINGS
 from truenewton.cli.main import app
+from truenewton.comparison.summary import MEANINGS_OF_CHANGES
 from truenewton.estimation.findings.catalogue import ENTRIES
 
 ROOT = Path(__file__).parents[2]
@@ -50,7 +51,9 @@ def messages():
     """Yield the texts of findings, errors, remedies and help, each with its place."""
     for code, entry in ENTRIES.items():
         yield from ((str(code), text) for text in (entry.name, entry.sentence, entry.remedy))
-    yield from ((str(level), text) for level, text in MEANINGS.items())
+    yield from (
+        (str(level), text) for level, text in (*MEANINGS.items(), *MEANINGS_OF_CHANGES.items())
+    )
     for name, command in typer.main.get_command(app).commands.items():
         yield name, command.help
         yield from ((name, getattr(each, "help", None) or "") for each in command.params)

@@ -12,6 +12,7 @@ from astropy.io import fits
 from astropy.table import QTable
 
 import truenewton as tn
+from helpers.balanced import p45_matrix
 from helpers.foreign_files import (
     CHANNELS_IN_ALL,
     OFF,
@@ -275,6 +276,18 @@ def test_one_sensor_without_numbers_is_left_out():
     assert f"2 elements of sensor {bad + 1} are not numbers" in text(made)
     assert "its sensor reads nothing" in text(made)
     assert not made.matrix.stiffness[:, bad].any()
+
+
+def test_one_that_is_zero_but_pushed_stays_enabled():
+    matrix, _ = p45_matrix()
+    k = matrix.stiffness.copy()
+    k[20] = k[:, 20] = 0.0
+    made = tn.stiffness_from(k, matrix.layout)
+    assert made.matrix.layout.enabled.all()
+    assert (
+        f"around it do not balance, as if it had exerted a force: {matrix.layout.id[20]}"
+        in text(made)
+    )
 
 
 def test_a_pipe_is_no_file_of_positions(tmp_path):

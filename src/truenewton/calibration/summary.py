@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import starmap
 from typing import Any
 
@@ -77,9 +77,9 @@ def detail_lines(
         yield from rejected_lines(data, c.rejected_rows)
 
 
-def verdict_lines(verdict: Verdict) -> Iterator[str]:
+def verdict_lines(verdict: Verdict, meanings: Mapping[Level, str] = MEANINGS) -> Iterator[str]:
     """Yield the level of a verdict, its meaning, its findings and advice."""
-    yield row("verdict", str(verdict.level), MEANINGS.get(verdict.level, ""))
+    yield row("verdict", str(verdict.level), meanings.get(verdict.level, ""))
     yield from warning_lines(verdict.findings)
 
 

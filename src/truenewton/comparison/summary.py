@@ -12,6 +12,7 @@ from truenewton.calibration.summary import verdict_lines
 from truenewton.comparison.calibrations import CHANGE, Change
 from truenewton.comparison.pairing import Matching
 from truenewton.comparison.result import CHANGES, Comparison
+from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.finding import as_sentences
 from truenewton.files.values import Columns, Values
 from truenewton.records.parts import Parts, fault_values, has_parts
@@ -21,6 +22,12 @@ from truenewton.rounding import counted, named, percent, row, with_error
 WEIGHTS_INDEPENDENT = "its error assumes two independent weighings"
 MAX_ROWS = 12  # of the table of actuators; the file contains all
 MAX_COUPLINGS = 5
+MEANINGS_OF_CHANGES = {
+    Level.SOUND: "the stated errors are valid",
+    Level.USABLE: "the changes can be used within the limits below",
+    Level.DOUBTFUL: "the stated changes or their errors may be wrong",
+    Level.REJECTED: "do not use the changes",
+}
 UNDETECTABLE = (
     "a change of 0.1 % in alpha, because a patch of glass that becomes 1 % stiffer looks the same",
     "whether alpha or the sensor gains changed in the mean; only their product is measured",
@@ -44,7 +51,7 @@ def lines(c: Comparison | Parts[Comparison] | Change) -> Iterator[str]:
     if changed := [*changed_actuators(c)]:
         yield f"  {'actuator':<12}{'alpha, new / old':<30}sensor gain, new / old"
         yield from (f"  {name:<12}{alpha:<30}{gain}" for name, alpha, gain in changed[:MAX_ROWS])
-    yield from verdict_lines(c.verdict)
+    yield from verdict_lines(c.verdict, MEANINGS_OF_CHANGES)
     yield from (f"  undetectable here: {text}" for text in UNDETECTABLE)
 
 

@@ -448,9 +448,9 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
     off = gone if not pushing else np.zeros_like(gone)
     if gone.any():
         what = "disabled, because row and column are zero"
-        if pushing:
-            what = "left enabled although row and column are zero, because the columns around them"
-            what += " do not balance, as if these actuators had exerted forces"
+        if pushing:  # one actuator: the screening refuses several
+            what = "left enabled although row and column are zero, because the columns around it"
+            what += " do not balance, as if it had exerted a force"
         off_ids = listed(matrix.layout.id[gone], MAX_NAMED)
         lines.append(("off", f"{np.count_nonzero(gone)} {what}: {off_ids}"))
     kept = [each for each in screened.warnings if each.code is Code.MISFITS_KEPT]

@@ -404,4 +404,4 @@ def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.date
         when = datetime.datetime.fromtimestamp(int(seconds), tz=datetime.UTC)
         return when, "of the file; --date overrides it"
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-    return now, "now; date= knows better"
+    return now, "now; to set it, use --date (date=)"

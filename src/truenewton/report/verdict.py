@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from truenewton.calibration.summary import MEANINGS, summary_rows
 from truenewton.calibration.verdict import without_unusable
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.result import AnyChange, Comparison
-from truenewton.comparison.summary import WEIGHTS_INDEPENDENT, figures
+from truenewton.comparison.summary import MEANINGS_OF_CHANGES, WEIGHTS_INDEPENDENT, figures
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale, typical
@@ -100,8 +100,13 @@ def _on_parts(c: Parts[Calibration]) -> Headline:
     return _headline(verdict, sentence, numbers)
 
 
-def _headline(verdict: Verdict, sentence: str, numbers: Numbers) -> Headline:
-    if meaning := MEANINGS.get(verdict.level):
+def _headline(
+    verdict: Verdict,
+    sentence: str,
+    numbers: Numbers,
+    meanings: Mapping[Level, str] = MEANINGS,
+) -> Headline:
+    if meaning := meanings.get(verdict.level):
         sentence += f" {as_sentences(Fault(meaning, ''))}"
     title = str(verdict.level).capitalize()
     return Headline(verdict.level, title, sentence, numbers, verdict.faults)
@@ -170,7 +175,7 @@ def _on_comparison(c: Comparison | Parts[Comparison]) -> Headline:
     if couplings:
         sentence += f" {counted(couplings, 'single coupling')} changed."
     numbers = tuple(islice(figures(c), 3)) if isinstance(c, Comparison) else ()
-    shown = _headline(c.verdict, sentence, numbers)
+    shown = _headline(c.verdict, sentence, numbers, MEANINGS_OF_CHANGES)
     return replace(shown, advice=(*advice, *shown.advice))
 
 
