@@ -52,7 +52,7 @@ class Comparison(Result):
         (n,) alpha of the new over that of the old data, relative to the mean of the actuators that
         did not change, and its standard uncertainty.
     sensor_ratio, sensor_ratio_error
-        (n,) the same of the sensor gains.
+        (n,) the same of the sensor gains, reading / true displacement.
     alpha_changed, sensor_changed
         (n,) those that deviate from the population of the others (1 % false alarms in all).
     alpha_scatter, sensor_scatter
