@@ -14,6 +14,7 @@ import numpy as np
 
 from truenewton.errors import FormatError, naming
 from truenewton.files.toml import filled, read_toml
+from truenewton.importers.inputs import written_date
 from truenewton.importers.selection import (
     Surface,
     in_metres,
@@ -183,7 +184,7 @@ MAX_RELATIVE_ERROR = 0.1  # of a weight: beyond, its unit is probably another th
 
 
 def _unlikely_error(what: str, weight: float, error: float) -> Iterator[str]:
-    """Yield that the error of a weight is unlikely, as a number without unit beside grams is."""
+    """Yield a remark if an error is too large for its weight: N may have been read for grams."""
     if weight and error > MAX_RELATIVE_ERROR * abs(weight):
         share = f"the error of {what} is {100 * error / abs(weight):.0f} % of it"
         yield f"  UNLIKELY  {share}: check its unit (N, if it has none)"
@@ -206,9 +207,8 @@ def _date_of(folder: Path, described: CampaignFiles) -> tuple[datetime.datetime,
     """Return the date of the first cycle (UTC), and where it is from."""
     if described.date is None:
         first = described.loads[0].files[0]
-        seconds = int((folder / first).stat().st_mtime)
         how = f"of the file {first}; to change it, specify date"
-        return datetime.datetime.fromtimestamp(seconds, tz=datetime.UTC), how
+        return written_date(folder / first), how
     date = described.date
     return date.replace(tzinfo=date.tzinfo or datetime.UTC).astimezone(datetime.UTC), "as specified"
 

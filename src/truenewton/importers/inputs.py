@@ -400,8 +400,11 @@ def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.date
             continue
         return when.replace(tzinfo=when.tzinfo or datetime.UTC).astimezone(datetime.UTC), key
     if given.path:
-        seconds = Path(given.path).stat().st_mtime
-        when = datetime.datetime.fromtimestamp(int(seconds), tz=datetime.UTC)
-        return when, "of the file; --date overrides it"
+        return written_date(given.path), "of the file; --date overrides it"
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     return now, "now; to set it, use --date (date=)"
+
+
+def written_date(path: str | os.PathLike[str]) -> datetime.datetime:
+    """Return when a file was written (UTC), to the second."""
+    return datetime.datetime.fromtimestamp(int(Path(path).stat().st_mtime), tz=datetime.UTC)

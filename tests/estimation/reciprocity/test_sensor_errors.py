@@ -31,7 +31,7 @@ def test_errors_of_alpha_and_sensors_are_valid_whatever_law_the_noise_follows(la
             error *= np.exp(0.7 * random.standard_normal(n))
         facts = MatrixFacts(exact + error, comparable_arms(mirror.layout))
         modes = modes_of(mirror.layout, facts)
-        found = examined(modes, fit_jointly(modes))
+        found = examined(modes, *fit_jointly(modes))
         values, stated = found.joint.values, found.sensor_errors
         of_alpha = values.log_alpha - log_alpha
         errors = (

@@ -119,35 +119,24 @@ class MatrixEvidence:
     evidence: acceptance.Evidence
 
 
-@dataclass(frozen=True, eq=False)
-class JointFit:
-    """The fit by all equations, and its errors by the noise of the matrix."""
+def fit_jointly(modes: Modes) -> tuple[Fit, MatrixNoise]:
+    """Return the fit of all modes by balance and reciprocity, and the noise of the matrix.
 
-    fit: Fit
-    noise: MatrixNoise
-    covariance: Array  # (n, n) of log alpha
-    sensor_errors: dict[Kind, Array]  # (n,) of log g and of offsets [m]
-
-
-def fit_jointly(modes: Modes) -> JointFit:
-    """Fit all modes by balance and reciprocity, with a covariance in single precision.
-
-    Raises RankDeficient, NotConverged.
+    The covariance is in single precision. Raises RankDeficient, NotConverged.
     """
     report_progress("reciprocity", 0.02)
     joint = modes.fit(START_REQUEST)
     report_progress("reciprocity, the noise", 0.5)
-    noise = noise_of(modes.stiffness, joint, modes.places)
-    return JointFit(joint, noise, *stated_errors(joint, noise))
+    return joint, noise_of(modes.stiffness, joint, modes.places)
 
 
-def examined(modes: Modes, fitted: JointFit) -> MatrixEvidence:
+def examined(modes: Modes, joint: Fit, noise: MatrixNoise) -> MatrixEvidence:
     """Fit every second mode by all equations, and all by balance alone and reciprocity alone.
 
     Noise and scatter of the sensors are those of the fit to all, except by balance alone.
     Raises RankDeficient, NotConverged.
     """
-    joint, noise = in_double(fitted.fit), fitted.noise
+    joint = in_double(joint)
     covariance, of_sensors = stated_errors(joint, noise)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS_OFFSET
     report_progress("reciprocity, of halves of the modes", 0.65)
@@ -261,13 +250,14 @@ def fit_matrix(
             tuple(acceptance.refusals(acceptance.Evidence(odd=odd, transposed=transposed))),
         )
     modes, n = modes_of(layout, facts, motion, keep), len(keep)
-    fitted = fit_jointly(modes)
+    joint, noise = fit_jointly(modes)
     of_balance = float(np.median(_relative_errors(base, n)[keep]))
-    by_noise = float(np.median(np.sqrt(np.diag(fitted.covariance))))
-    if where_it_holds and acceptance.surely_worse(by_noise, of_balance):
-        worse = acceptance.Evidence(error=by_noise, error_by_balance=of_balance)
-        return base, (), tuple(acceptance.refusals(worse))
-    found = examined(modes, fitted)
+    if where_it_holds:
+        by_noise = float(np.median(np.sqrt(np.diag(stated_errors(joint, noise)[0]))))
+        if acceptance.surely_worse(by_noise, of_balance):
+            worse = acceptance.Evidence(error=by_noise, error_by_balance=of_balance)
+            return base, (), tuple(acceptance.refusals(worse))
+    found = examined(modes, joint, noise)
     joint = found.joint
     by_balance = base.values[:n]
     alpha = by_balance.copy()

@@ -177,7 +177,7 @@ def noise_of_rows(left: Array, stiffness: Array, variance: Array, spare: float) 
 
 
 def variance_shares(terms: Array, squares: Array) -> Array:
-    """Return how much of (m, k) terms make the variances of which (m,) squares are samples."""
+    """Return (k,) factors of (m, k) terms whose sums are the variances of (m,) squares."""
     expected = np.full(len(squares), squares.mean())
     for _ in range(20):  # each is known in proportion to itself
         unit = terms / expected[:, None]
