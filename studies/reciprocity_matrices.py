@@ -16,7 +16,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.reciprocity.acceptance import refusals
-from truenewton.estimation.reciprocity.matrix import examined, fit_jointly, modes_of
+from truenewton.estimation.reciprocity.matrix import examined, fit_jointly, fit_roughly, modes_of
 from truenewton.estimation.reciprocity.sensor_model import (
     START_REQUEST,
     Kind,
@@ -90,7 +90,7 @@ def gate(seeds):
             alone = np.nan
             try:
                 alone = np.std(modes.fit(Request(), balance=True).values.log_alpha - truth)
-                found = examined(modes, fit_jointly(modes))
+                found = examined(modes, *fit_jointly(modes, fit_roughly(modes)))
             except TrueNewtonError:
                 rows.append((np.nan, alone, np.nan, False))
                 continue
@@ -179,7 +179,7 @@ def examine(matrix, motion=None):
     """Print what is left of a measured matrix."""
     cpu, layout = time.process_time(), matrix.layout
     modes = modes_of(matrix.layout, MatrixFacts.of(matrix), motion)
-    found = examined(modes, fit_jointly(modes))
+    found = examined(modes, *fit_jointly(modes, fit_roughly(modes)))
     n, unknowns = modes.places.n, len(found.joint.covariance)
     print(
         f"{n} actuators, {unknowns} unknowns; with halves and each alone"
@@ -235,7 +235,7 @@ def large():
         motion = model_sensors(glass) if shell == "with" else None
         matrix = StiffnessMatrix("LBT672", START, at, made.stiffness)
         modes = modes_of(matrix.layout, MatrixFacts.of(matrix), motion)
-        found = examined(modes, fit_jointly(modes))
+        found = examined(modes, *fit_jointly(modes, fit_roughly(modes)))
         least = bound_of_matrix(made, at, START_REQUEST, motion)
         error = found.joint.values.log_alpha - values.log_alpha
         error -= error.mean()

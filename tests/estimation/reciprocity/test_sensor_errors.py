@@ -1,11 +1,12 @@
-"""Stated errors of gains and places of sensors, from a matrix alone, are those of its noise."""
+"""Sensors from a matrix alone: stated errors are those of its noise, and the fit is settled."""
 
 import numpy as np
 import pytest
 
+from helpers.balanced import p45_matrix
 from truenewton.estimation.matrix.facts import MatrixFacts
-from truenewton.estimation.reciprocity.matrix import examined, fit_jointly, modes_of
-from truenewton.estimation.reciprocity.sensor_model import Kind
+from truenewton.estimation.reciprocity.matrix import examined, fit_jointly, fit_roughly, modes_of
+from truenewton.estimation.reciprocity.sensor_model import START_REQUEST, Kind
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.statics.arms import comparable_arms
@@ -31,7 +32,7 @@ def test_errors_of_alpha_and_sensors_are_valid_whatever_law_the_noise_follows(la
             error *= np.exp(0.7 * random.standard_normal(n))
         facts = MatrixFacts(exact + error, comparable_arms(mirror.layout))
         modes = modes_of(mirror.layout, facts)
-        found = examined(modes, *fit_jointly(modes))
+        found = examined(modes, *fit_jointly(modes, fit_roughly(modes)))
         values, stated = found.joint.values, found.sensor_errors
         of_alpha = values.log_alpha - log_alpha
         errors = (
@@ -44,3 +45,14 @@ def test_errors_of_alpha_and_sensors_are_valid_whatever_law_the_noise_follows(la
     rms = np.sqrt(np.mean(squares, axis=0))
     assert (rms > 0.5).all(), rms
     assert (rms < 1.35).all(), rms
+
+
+def test_a_fit_is_settled_where_sensors_scatter_less_than_noise_resolves():
+    """Each spread was then only slightly less than the one before, and the fit stopped too soon."""
+    matrix, _ = p45_matrix(noise=5e-4)
+    modes = modes_of(matrix.layout, MatrixFacts.of(matrix))
+    exact = modes.fit(START_REQUEST, until=1e-4)
+    error = np.sqrt(np.diag(exact.covariance_of(Kind.ALPHA)))
+    for found in (modes.fit(START_REQUEST), fit_jointly(modes, fit_roughly(modes))[0]):
+        apart = found.values.log_alpha - exact.values.log_alpha
+        assert np.abs(apart / error).max() < 0.05

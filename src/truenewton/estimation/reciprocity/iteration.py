@@ -33,7 +33,7 @@ from truenewton.estimation.reciprocity.sensor_model import (
 )
 from truenewton.linalg import inverse_of_positive, thread_count, threads
 
-MAX_STEPS = 40  # of the iteration
+MAX_STEPS = 60  # of the iteration
 
 # Makes states and weights at given values of the unknowns.
 StatesAt = Callable[[Places, Values, SensorModel], tuple[States, Weights]]
@@ -48,14 +48,22 @@ class Fit:
     covariance: Array  # (u, u) where mean log alpha is 0, and mean log g if it is free
     chi2: tuple[float, float, float]  # of statics, rigid motions and reciprocity
     equations: tuple[int, int, int]  # number in each block
-    # number of unknowns that each block determines; NaN without leverages
-    parameters: tuple[float, float, float]
+    leverage: Leverage | None  # of the equations; None if their weights are fixed
     point: Point  # everything else, at the most likely unknowns
 
     def covariance_of(self, kind: Kind) -> Array:
         """Return the (n, n) covariance of one kind of unknowns."""
         n, k = len(self.values.log_alpha), self.asked.kinds.index(kind)
         return self.covariance[k * n : (k + 1) * n, k * n : (k + 1) * n]
+
+    @property
+    def parameters(self) -> tuple[float, float, float]:
+        """Number of unknowns that each block determines; NaN without leverages."""
+        if self.leverage is None:
+            return (np.nan,) * 3
+        pairs = np.triu(self.leverage.reciprocity)
+        parts = (self.leverage.statics, self.leverage.rigid, pairs)
+        return tuple(float(part.sum()) for part in parts)  # type: ignore[return-value]
 
     @property
     def information(self) -> Array:
@@ -97,13 +105,16 @@ def fit(
     start: Values | None = None,
     told: Callable[[Leverage], None] | None = None,
     fixed: bool = False,
+    until: float = SETTLED_STEP,
 ) -> Fit:
     """Return the most likely unknowns.
 
     ``states_at`` gives states and weights, ``start`` the first values (nominal by default), and
     ``told`` is called with the leverages after each step. ``fixed``: weights and spreads are fixed,
-    and a factor is reused while steps become shorter. Steps, and the covariance, are in single
-    precision: the score determines where they end.
+    and a factor is reused while steps become shorter. The iteration ends when a step,
+    and what is left of steps that keep their ratio, are shorter than ``until``, relative to the
+    error of alpha. Steps, and the covariance, are in single precision: the score determines where
+    they end.
 
     Raises
     ------
@@ -114,7 +125,7 @@ def fit(
     values = at_nominal(places.n) if start is None else start
     n, before = places.n, None
     size = last = np.inf
-    paces, single = dict[str, float](), True
+    single = True
     for step in range(MAX_STEPS):
         point = point_at(places, values, asked, states_at)
         known = asked.information(n)
@@ -128,15 +139,16 @@ def fit(
         move = -(covariance @ gradient.astype(covariance.dtype)).astype(float)
         error = np.sqrt(np.mean(np.diag(covariance)[:n]))
         last, size = size, float(np.sqrt(np.mean(move[:n] ** 2)))
-        settled = step > 0 and size < SETTLED_STEP * error
+        rest = size**2 / max(last - size, 1e-3 * size, 1e-300)  # if steps keep their ratio
+        settled = step > 0 and max(size, rest) < until * error
         logs = move[: n * sum(kind not in OFFSETS for kind in asked.kinds)]
         move = move * min(1.0, 0.3 / max(float(np.abs(logs).max()), 1e-300))
         values = asked.moved(values, move)
         if settled:
             return _fit(values, asked, covariance, point, leverage)
         if asked.estimated:
-            found = _with_spreads(asked, values, covariance)
-            asked, paces = _extrapolated(asked, found, paces)
+            asked = _with_spreads(asked, values, covariance)
+        del point  # the next one needs its memory
     raise NotConverged(
         f"reciprocity has not settled after {MAX_STEPS} steps",
         remedy="check gains and positions of the sensors",
@@ -188,17 +200,13 @@ def _fit(
     leverage: Leverage | None,
 ) -> Fit:
     m = point.states.count
-    taken = (np.nan,) * 3
-    if leverage is not None:
-        pairs = np.triu(leverage.reciprocity)
-        taken = (leverage.statics.sum(), leverage.rigid.sum(), pairs.sum())
     return Fit(
         values=values,
         asked=asked,
         covariance=covariance,
         chi2=point.left.chi2(point.weights),
         equations=(3 * m, 3 * m, m * (m - 1) // 2),
-        parameters=tuple(map(float, taken)),  # type: ignore[arg-type]
+        leverage=leverage,
         point=point,
     )
 
@@ -206,45 +214,28 @@ def _fit(
 def _with_spreads(asked: Request, values: Values, covariance: Array) -> Request:
     """Return the request with the spreads of the data (MacKay).
 
-    sum v^2 over the number of unknowns less what is determined by the prior, not by the data.
+    The information l = 1 / s^2 of a spread is the number of unknowns that the data determine, g = n
+    - l tr(C), over the sum of their squares v'v. Both change with it, dv = -C v dl, dC = -C C dl:
+    the step is that of Newton's method in log l.
     """
     n = len(values.log_alpha)
     # If data do not determine a spread, each step finds it smaller: below these it is none [-, m].
-    for names, spread, least in (
+    for kinds, name, least in (
         ((Kind.GAIN,), "gain_spread", 1e-6),
         (OFFSETS, "offset_spread", 1e-8),
     ):
-        size = getattr(asked, spread)
+        size = getattr(asked, name)
         if not size or np.isinf(size):
             continue
-        total, held = 0.0, 0.0
-        for kind in names:
-            some = slice(k := asked.kinds.index(kind) * n, k + n)
-            total += float(np.sum(values.of(kind) ** 2))
-            held += n - float(np.trace(covariance[some, some])) / size**2
-        found = max(float(np.sqrt(total / max(held, 1.0))), least)
-        asked = replace(asked, **{spread: found})  # type: ignore[arg-type]
+        first = asked.kinds.index(kinds[0]) * n
+        some = slice(first, first + n * len(kinds))
+        c, v = covariance[some, some] / size**2, asked.vector(values)[some]
+        square, determined = max(float(v @ v), 1e-300), max(len(v) - float(np.trace(c)), 1.0)
+        away = np.log(determined * size**2 / square)
+        rate = (
+            1.0 - 2.0 * float(v @ c @ v) / square + float(np.trace(c) - np.sum(c**2)) / determined
+        )
+        # Far from the solution the rate is that of another curve: not far from the plain step.
+        step = np.clip(away / max(rate, 0.1), away - 1.0, away + 1.0)
+        asked = replace(asked, **{name: max(size * float(np.exp(-0.5 * step)), least)})
     return asked
-
-
-def _extrapolated(
-    asked: Request, found: Request, paces: dict[str, float]
-) -> tuple[Request, dict[str, float]]:
-    """Return the limit of a series of spreads (Aitken), and the steps of their logarithms.
-
-    If sensors scatter less than the data can resolve, each spread is only slightly less than the
-    one before. After an extrapolated step, the next is taken without.
-    """
-    now = dict[str, float]()
-    for name in ("gain_spread", "offset_spread"):
-        before, after = getattr(asked, name), getattr(found, name)
-        if not before or np.isinf(before):
-            continue
-        step = float(np.log(after / before))
-        ratio = step / paces[name] if paces.get(name) else 0.0
-        if 0.5 < ratio < 1.0:
-            further = np.clip(step * ratio / (1.0 - ratio), -0.7, 0.7)  # a factor of 2
-            found = replace(found, **{name: after * float(np.exp(further))})
-        else:
-            now[name] = step
-    return found, now

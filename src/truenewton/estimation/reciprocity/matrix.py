@@ -13,13 +13,14 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Estimate
 from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.matrix.columns import SETTLED_STEP
 from truenewton.estimation.matrix.facts import MIN_MEASURED_DEVIATION, ElasticModes, MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.modes import EVEN_MODES, ODD_MODES, Imbalance, imbalances_of
 from truenewton.estimation.matrix.order import balance_effects
 from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.estimation.reciprocity import acceptance
-from truenewton.estimation.reciprocity.information import States, Weights
+from truenewton.estimation.reciprocity.information import Leverage, States, Weights
 from truenewton.estimation.reciprocity.iteration import Fit, fit, in_double
 from truenewton.estimation.reciprocity.noise import (
     BinnedNoise,
@@ -72,14 +73,17 @@ class Modes:
         balance: bool = False,
         start: Values | None = None,
         weights: Weights | None = None,
+        leverage: Leverage | None = None,
+        until: float = SETTLED_STEP,
     ) -> Fit:
         """Fit alpha and sensors by balance and reciprocity, or by balance alone.
 
-        Unless weights are given, they are estimated as well.
+        Unless weights are given, they are estimated as well, first with the given ``leverage``.
+        ``until`` as of `iteration.fit`.
         """
-        noise = BinnedNoise(self.elastic.stiffness, self.elastic.readings, balance)
+        noise = BinnedNoise(self.elastic.stiffness, self.elastic.readings, balance, leverage)
         if weights is None:
-            return fit(self.places, asked, noise, start=start, told=noise.told)
+            return fit(self.places, asked, noise, start=start, told=noise.told, until=until)
 
         def weighted(*at: Any) -> tuple[States, Weights]:
             return noise.states(*at), weights
@@ -119,15 +123,38 @@ class MatrixEvidence:
     evidence: acceptance.Evidence
 
 
-def fit_jointly(modes: Modes) -> tuple[Fit, MatrixNoise]:
-    """Return the fit of all modes by balance and reciprocity, and the noise of the matrix.
+@dataclass(frozen=True, eq=False)
+class RoughFit:
+    """A fit of all modes that is nearly settled, without its large matrices."""
+
+    asked: Request  # with the spreads so far
+    values: Values
+    leverage: Leverage | None
+    noise: MatrixNoise  # by few draws
+    error: float  # typical error of log alpha by this noise
+
+
+def fit_roughly(modes: Modes) -> RoughFit:
+    """Fit all modes by balance and reciprocity until nearly settled, and estimate the noise.
+
+    Raises RankDeficient, NotConverged.
+    """
+    report_progress("reciprocity", 0.02)
+    fitted = modes.fit(START_REQUEST, until=0.3)  # of the error of alpha
+    report_progress("reciprocity, the noise", 0.3)
+    noise = noise_of(modes.stiffness, fitted, modes.places, draws=20)
+    error = float(np.median(np.sqrt(np.diag(stated_errors(fitted, noise)[0]))))
+    return RoughFit(fitted.asked, fitted.values, fitted.leverage, noise, error)
+
+
+def fit_jointly(modes: Modes, rough: RoughFit) -> tuple[Fit, MatrixNoise]:
+    """Return the settled fit of all modes, and the noise of the matrix.
 
     The covariance is in single precision. Raises RankDeficient, NotConverged.
     """
-    report_progress("reciprocity", 0.02)
-    joint = modes.fit(START_REQUEST)
-    report_progress("reciprocity, the noise", 0.5)
-    return joint, noise_of(modes.stiffness, joint, modes.places)
+    report_progress("reciprocity", 0.4)
+    joint = modes.fit(rough.asked, start=rough.values, leverage=rough.leverage)
+    return joint, noise_of(modes.stiffness, joint, modes.places, rough.noise)
 
 
 def examined(modes: Modes, joint: Fit, noise: MatrixNoise) -> MatrixEvidence:
@@ -138,6 +165,7 @@ def examined(modes: Modes, joint: Fit, noise: MatrixNoise) -> MatrixEvidence:
     """
     joint = in_double(joint)
     covariance, of_sensors = stated_errors(joint, noise)
+    joint = joint.of_alpha  # the rest of its memory is needed
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS_OFFSET
     report_progress("reciprocity, of halves of the modes", 0.65)
     again, weights = replace(joint.asked, estimated=False), joint.point.weights
@@ -150,7 +178,7 @@ def examined(modes: Modes, joint: Fit, noise: MatrixNoise) -> MatrixEvidence:
     excess = beyond_noise(halves, drawn, alike=True, doubtful=doubtful)
     of_halves = acceptance.disagreement(*halves)
     one, other = (half.values for half in halves)
-    del halves, drawn  # their memory is needed
+    del halves, drawn
     report_progress("reciprocity, against the balance", 0.8)
     try:
         evidence, ways, unequal = _against_balance(
@@ -187,16 +215,17 @@ def _against_balance(
     Returns how they agree, (n,) log alpha by each, and the variance between them over that of
     noise. ``of_halves`` is the disagreement of the halves.
     """
-    alone = [  # alpha only: the balance knows nothing of sensors
+    balance, *halves = [  # alpha only: the balance knows nothing of sensors
         in_double(each.fit(Request(), balance=True, start=joint.values))
         for each in (modes, modes.every(EVEN_MODES), modes.every(ODD_MODES))
     ]
-    by_balance = _held_out(modes.imbalances(*alone))
-    own = acceptance.disagreement(*alone[1:])
+    by_balance = _held_out(modes.imbalances(balance, *halves))
+    own = acceptance.disagreement(*halves)
+    del halves
     weights = joint.point.weights.of_symmetry
     again = replace(joint.asked, estimated=False)
     reciprocity = modes.fit(again, start=joint.values, weights=weights)
-    pair = (alone[0], reciprocity.of_alpha)
+    pair = (balance, reciprocity.of_alpha)
     drawn = drawn_differences(pair, noise)
     excess = beyond_noise(pair, drawn, alike=False, doubtful=doubtful)
     between = as_stated = acceptance.apart(*pair, own, of_halves)
@@ -250,14 +279,12 @@ def fit_matrix(
             tuple(acceptance.refusals(acceptance.Evidence(odd=odd, transposed=transposed))),
         )
     modes, n = modes_of(layout, facts, motion, keep), len(keep)
-    joint, noise = fit_jointly(modes)
+    rough = fit_roughly(modes)
     of_balance = float(np.median(_relative_errors(base, n)[keep]))
-    if where_it_holds:
-        by_noise = float(np.median(np.sqrt(np.diag(stated_errors(joint, noise)[0]))))
-        if acceptance.surely_worse(by_noise, of_balance):
-            worse = acceptance.Evidence(error=by_noise, error_by_balance=of_balance)
-            return base, (), tuple(acceptance.refusals(worse))
-    found = examined(modes, joint, noise)
+    if where_it_holds and acceptance.surely_worse(rough.error, of_balance):
+        worse = acceptance.Evidence(error=rough.error, error_by_balance=of_balance)
+        return base, (), tuple(acceptance.refusals(worse))
+    found = examined(modes, *fit_jointly(modes, rough))
     joint = found.joint
     by_balance = base.values[:n]
     alpha = by_balance.copy()

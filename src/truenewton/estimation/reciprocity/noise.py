@@ -69,9 +69,6 @@ class BinnedNoise:
     readings: Array  # (n, m) V, stiffest first
     balance: bool = False  # whether only statics count
     leverage: Leverage | None = field(default=None)  # of the last fit
-    times: int = field(default=0)  # number of estimates
-    # variances of the last estimate
-    before: tuple[Array, Array, Array] | None = field(default=None)
     latest: tuple[Values, States] | None = field(default=None)  # last unknowns and states
 
     def told(self, leverage: Leverage) -> None:
@@ -132,16 +129,13 @@ class BinnedNoise:
         variance = square / _left(pairs, of_pair)
         statics = np.add.reduceat(left.statics**2, starts, axis=1) / _left(sizes, taken.statics)
         rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(sizes[:, None], taken.rigid)
+        # Gains alone can explain a rigid motion: each of the three has too little of its own.
+        rigid = np.repeat(rigid.mean(axis=1, keepdims=True), 3, axis=1)
         variance = np.maximum(variance, (1e-12) ** 2 * np.mean(np.diagonal(left.work) ** 2))
         if sizes.min() < 20:  # too few for a noise of each of the three equations
             statics = np.repeat(statics.mean(axis=0, keepdims=True), 3, axis=0)
-            rigid = np.repeat(rigid.mean(axis=1, keepdims=True), 3, axis=1)
         least = MIN_RIGID_VARIANCE * variance.min(axis=0)
-        found = (np.maximum(statics, least), np.maximum(rigid, least[:, None]), variance)
-        if self.times > 8 and self.before is not None:  # half the way ends what swings to and fro
-            found = tuple(np.sqrt(one * old) for one, old in zip(found, self.before, strict=True))
-        self.times, self.before = self.times + 1, found
-        statics, rigid, variance = found
+        statics, rigid = np.maximum(statics, least), np.maximum(rigid, least[:, None])
         return Weights(
             statics=np.repeat(1.0 / statics, sizes, axis=1),
             rigid=np.repeat(1.0 / rigid, sizes, axis=0),
@@ -180,25 +174,28 @@ def _left(count: Array, taken: Array) -> Array:
 PRIOR_RESIDUALS = 4.0  # weight of the other sensors' noise in that of one
 
 
-def element_variance(stiffness: Array, fit: Fit, places: Places) -> tuple[Array, float]:
-    """Return (n, n) variances of the elements of an (n, n) K_c [(N/m)^2], and their cost.
+def element_variance(
+    stiffness: Array, fit: Fit, places: Places, start: Array | None = None
+) -> tuple[Array | None, Array]:
+    """Return (n, n) variances of the elements of an (n, n) K_c [(N/m)^2]; None for noise of modes.
 
     For sensors at the fitted offsets or at their magnets, whichever is more likely; the residuals
-    at fitted offsets lack what these absorbed. The cost is twice minus the mean log likelihood of a
-    pair, to compare with that of modes.
+    at fitted offsets lack what these absorbed. The other array is where to ``start`` again.
     """
     at_magnets = replace(fit.values, offset=np.zeros_like(fit.values.offset))
     ways = [sensors_at(places, at_magnets, slopes=False)]
     if fit.asked.offset_spread:
         ways.append(sensors_at(places, fit.values, slopes=True))
-    found, start = list[tuple[Array, float]](), None
+    found = list[tuple[Array, float]]()
     for seen in ways:
         variance, cost, start = _likeliest(stiffness, fit, seen, start)
         found.append((variance, cost))
-    least = min(cost for _, cost in found)  # noise of modes is judged by the same residuals
+    assert start is not None
+    if min(cost for _, cost in found) > cost_of_modes(fit):  # judged by the same residuals
+        return None, start
     if len(found) > 1 and found[0][1] < found[1][1] + _cost_of_offsets(fit):
-        return found[0][0], least
-    return found[-1][0], least
+        return found[0][0], start
+    return found[-1][0], start
 
 
 def _cost_of_offsets(fit: Fit) -> float:
@@ -339,6 +336,7 @@ class MatrixNoise:
     # standard deviations of log g and of the offsets [m] beyond noise
     scatter: tuple[float, float] = (0.0, 0.0)
     scores: Array | None = None  # (draws, u) of the fit that gave the noise of its elements
+    logs: Array | None = None  # of the parameters of its elements
 
     def of(self, asked: Request, n: int) -> Array:
         """Return (u,) standard deviations of the unknowns that are drawn."""
@@ -347,13 +345,23 @@ class MatrixNoise:
         return np.repeat([spreads[kind] for kind in asked.kinds], n)
 
 
-def noise_of(stiffness: Array, fit: Fit, places: Places) -> MatrixNoise:
-    """Return the noise of an (n, n) K_c, of elements or modes, whichever is more likely."""
-    variance, cost = element_variance(stiffness, fit, places)
-    if cost > cost_of_modes(fit):
-        return MatrixNoise(None)
+def noise_of(
+    stiffness: Array,
+    fit: Fit,
+    places: Places,
+    before: MatrixNoise | None = None,
+    draws: int = MAX_DRAWS,
+) -> MatrixNoise:
+    """Return the noise of an (n, n) K_c, of elements or modes, whichever is more likely.
+
+    The estimate begins with that of ``before``, of a fit nearby.
+    """
+    start = None if before is None else before.logs
+    variance, logs = element_variance(stiffness, fit, places, start)
+    if variance is None:
+        return MatrixNoise(None, logs=logs)
     n = len(variance)
-    drawn = scores([fit], variance)[0]
+    drawn = scores([fit], variance, draws)[0]
     by_noise = -drawn @ fit.covariance
     unit = np.random.default_rng(1).standard_normal(by_noise.shape)
     known = fit.asked.information(n)
@@ -368,10 +376,10 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> MatrixNoise:
         pulled = unit * some - (unit * some * known) @ fit.covariance
         feigned, passed = (np.sum(each[:, some] ** 2) / len(each) for each in (by_noise, pulled))
         scatter.append(float(np.sqrt(max(found - feigned, 0.0) / passed)))
-    return MatrixNoise(variance, (scatter[0], scatter[1]), drawn)
+    return MatrixNoise(variance, (scatter[0], scatter[1]), drawn, logs)
 
 
-def scores(fits: Sequence[Fit], variance: Array) -> list[Array]:
+def scores(fits: Sequence[Fit], variance: Array, most: int = MAX_DRAWS) -> list[Array]:
     """Return (draws, u) scores of some fits for noise whose elements have (n, n) variance.
 
     In single precision, as they are random; the noise is the same for all.
@@ -379,7 +387,7 @@ def scores(fits: Sequence[Fit], variance: Array) -> list[Array]:
     random, n, root = np.random.default_rng(1), len(variance), np.sqrt(variance)
     draws = [_Scores(fit) for fit in fits]
     found = [list[Array]() for _ in fits]
-    for _ in range(int(np.clip(1e9 / n**3, 50, MAX_DRAWS))):
+    for _ in range(min(most, max(50, int(1e9 / n**3)))):
         noise = root * random.standard_normal(root.shape)
         for draw, several in zip(draws, found, strict=True):
             several.append(draw.score_of(noise))
