@@ -235,9 +235,10 @@ class FittedRows:
         # Products take half as long as solutions of triangular equations.
         return np.asarray(dtrtri(factor, lower=True, overwrite_c=True)[0])
 
-    def half_solved(self, cross: Array) -> Array:
+    def half_solved(self, cross: Array, *, overwrite: bool = False) -> Array:
         """Return (free, k) L^-1 cross' of (k, free)."""
-        return np.asarray(dtrmm(1.0, self._inverse_factor, cross.T, lower=True))
+        factor = self._inverse_factor
+        return np.asarray(dtrmm(1.0, factor, cross.T, lower=True, overwrite_b=overwrite))
 
     def solved(self, half: Array) -> Array:
         """Return (free, k) L^-1' of (free, k), which is H^-1 cross' of `half_solved` cross'."""
@@ -360,7 +361,9 @@ def scored(fit: FittedRows, derivative: Derivative) -> Scored:
     if derivative.direction is not None:
         left = partial(without_direction, direction=derivative.direction)
         score, joint, cross = left(score), left(left(joint).T), left(cross.T).T
-    return Scored(fit, score, joint, fit.half_solved(cross), spurious, spurious_information)
+    return Scored(
+        fit, score, joint, fit.half_solved(cross, overwrite=True), spurious, spurious_information
+    )
 
 
 def _of_all(information: Array | float) -> Array | float:
