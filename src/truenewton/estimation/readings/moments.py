@@ -482,7 +482,7 @@ def independent_readings(samples: Sequence[Array], n: int) -> float:
         return float(n)
     size = np.sqrt(np.mean(deviations**2, axis=0))  # 0 where rounding hides all noise
     scaled = np.divide(deviations, size, out=np.zeros_like(deviations), where=size > 0.0)
-    # (tr C)^2 / tr C^2, less what chance alone makes of C between m rows: single precision suffices.
+    # (tr C)^2 / tr C^2, less what chance alone makes of C between m rows; in single precision
     scaled = scaled.astype(np.float32)
     correlated = scaled @ scaled.T if m < n else scaled.T @ scaled
     square = float(np.vdot(correlated, correlated)) / m**2

@@ -130,21 +130,20 @@ class RoughFit:
     asked: Request  # with the spreads so far
     values: Values
     leverage: Leverage | None
-    noise: MatrixNoise  # by few draws
-    error: float  # typical error of log alpha by this noise
+    error: float  # typical error of log alpha by noise
 
 
 def fit_roughly(modes: Modes) -> RoughFit:
-    """Fit all modes by balance and reciprocity until nearly settled, and estimate the noise.
+    """Fit all modes by balance and reciprocity until nearly settled, and judge it by its noise.
 
     Raises RankDeficient, NotConverged.
     """
     report_progress("reciprocity", 0.02)
     fitted = modes.fit(START_REQUEST, until=0.3)  # of the error of alpha
     report_progress("reciprocity, the noise", 0.3)
-    noise = noise_of(modes.stiffness, fitted, modes.places, draws=20)
+    noise = noise_of(modes.stiffness, fitted, modes.places, rough=True)
     error = float(np.median(np.sqrt(np.diag(stated_errors(fitted, noise)[0]))))
-    return RoughFit(fitted.asked, fitted.values, fitted.leverage, noise, error)
+    return RoughFit(fitted.asked, fitted.values, fitted.leverage, error)
 
 
 def fit_jointly(modes: Modes, rough: RoughFit) -> tuple[Fit, MatrixNoise]:
@@ -154,7 +153,7 @@ def fit_jointly(modes: Modes, rough: RoughFit) -> tuple[Fit, MatrixNoise]:
     """
     report_progress("reciprocity", 0.4)
     joint = modes.fit(rough.asked, start=rough.values, leverage=rough.leverage)
-    return joint, noise_of(modes.stiffness, joint, modes.places, rough.noise)
+    return joint, noise_of(modes.stiffness, joint, modes.places)
 
 
 def examined(modes: Modes, joint: Fit, noise: MatrixNoise) -> MatrixEvidence:

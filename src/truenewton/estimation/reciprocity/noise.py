@@ -174,28 +174,25 @@ def _left(count: Array, taken: Array) -> Array:
 PRIOR_RESIDUALS = 4.0  # weight of the other sensors' noise in that of one
 
 
-def element_variance(
-    stiffness: Array, fit: Fit, places: Places, start: Array | None = None
-) -> tuple[Array | None, Array]:
+def element_variance(stiffness: Array, fit: Fit, places: Places) -> Array | None:
     """Return (n, n) variances of the elements of an (n, n) K_c [(N/m)^2]; None for noise of modes.
 
     For sensors at the fitted offsets or at their magnets, whichever is more likely; the residuals
-    at fitted offsets lack what these absorbed. The other array is where to ``start`` again.
+    at fitted offsets lack what these absorbed.
     """
     at_magnets = replace(fit.values, offset=np.zeros_like(fit.values.offset))
     ways = [sensors_at(places, at_magnets, slopes=False)]
     if fit.asked.offset_spread:
         ways.append(sensors_at(places, fit.values, slopes=True))
-    found = list[tuple[Array, float]]()
+    found, start = list[tuple[Array, float]](), None
     for seen in ways:
         variance, cost, start = _likeliest(stiffness, fit, seen, start)
         found.append((variance, cost))
-    assert start is not None
     if min(cost for _, cost in found) > cost_of_modes(fit):  # judged by the same residuals
-        return None, start
+        return None
     if len(found) > 1 and found[0][1] < found[1][1] + _cost_of_offsets(fit):
-        return found[0][0], start
-    return found[-1][0], start
+        return found[0][0]
+    return found[-1][0]
 
 
 def _cost_of_offsets(fit: Fit) -> float:
@@ -232,8 +229,11 @@ def _likeliest(
     def by_mixing(each: Array, mixed: Array) -> Array:
         return np.asarray(each * np.diag(mixed) if alone else each @ mixed)
 
-    def stepped(logs: Array) -> tuple[Array, float]:
-        """Return the logarithms of a^2, p^2, the offsets' part and c after a step; their cost."""
+    def stepped(logs: Array) -> tuple[Array, float, Array]:
+        """Return the logarithms of a^2, p^2, the offsets' part and c after a step; their cost.
+
+        And by how much the log likelihood changes with the first two.
+        """
         size, offsets, sensor = np.exp(logs[:2]), float(np.exp(logs[2])), np.exp(logs[3:])
         each = size[0] * own + size[1] * proportional
         total = by_mixing(each * sensor, mixed)
@@ -253,6 +253,7 @@ def _likeliest(
             np.array([own[:, 0] @ part @ sensor, np.sum((proportional * part) @ sensor)])
             for part in (wanted, had)
         )
+        gain = 0.5 * size * (told - expected)
         size = size * np.sqrt(told / expected)
         size = np.maximum(size, max(least, share * size.max()))
         counted = sensor * np.sum(each * had, axis=0) + PRIOR_RESIDUALS
@@ -263,24 +264,24 @@ def _likeliest(
         # A common factor of c belongs to a^2 and p^2: the prior is most likely if mean 1/c is 1.
         common = float(np.mean(1.0 / sensor))
         sensor, size = sensor * common, size / common
-        return np.log(np.concatenate([size, [offsets], sensor])), cost
+        return np.log(np.concatenate([size, [offsets], sensor])), cost, gain
 
     logs = start
     if logs is None:
         first = max(0.25 * float(np.mean(apart**2)) / float(np.mean(own)), least)
         logs = np.concatenate([np.log([first, first, 1.0]), np.zeros(n)])
     for _ in range(40):  # of three steps each
-        one, _ = stepped(logs)
-        two, cost = stepped(one)
+        one, _, _ = stepped(logs)
+        two, cost, _ = stepped(one)
         step, bend = one - logs, two - 2.0 * one + logs
         far = max(1.0, float(np.linalg.norm(step)) / max(float(np.linalg.norm(bend)), 1e-300))
         jumped = logs + np.clip(2.0 * far * step + far**2 * bend, -4.0, 4.0)
-        logs, reached = stepped(jumped)
+        logs, reached, gain = stepped(jumped)
         change = np.abs(logs - jumped)
         if not reached <= cost:
             logs, reached, change = two, cost, np.abs(two - one)
-        matters = logs[:2] > np.log(1e-4) + logs[:2].max()  # the smaller part may be negligible
-        if change[:2][matters].max() < 2e-3 and change[3:].max() < 0.05:
+        matters = np.abs(gain) > 0.1  # the smaller part may be negligible
+        if change[:2][matters].max(initial=0.0) < 2e-3 and change[3:].max() < 0.05:
             break
     size = np.exp(logs[:2])
     variance = (size[0] + size[1] * stiffness**2 / mean) * np.exp(logs[3:])
@@ -336,7 +337,6 @@ class MatrixNoise:
     # standard deviations of log g and of the offsets [m] beyond noise
     scatter: tuple[float, float] = (0.0, 0.0)
     scores: Array | None = None  # (draws, u) of the fit that gave the noise of its elements
-    logs: Array | None = None  # of the parameters of its elements
 
     def of(self, asked: Request, n: int) -> Array:
         """Return (u,) standard deviations of the unknowns that are drawn."""
@@ -345,23 +345,16 @@ class MatrixNoise:
         return np.repeat([spreads[kind] for kind in asked.kinds], n)
 
 
-def noise_of(
-    stiffness: Array,
-    fit: Fit,
-    places: Places,
-    before: MatrixNoise | None = None,
-    draws: int = MAX_DRAWS,
-) -> MatrixNoise:
+def noise_of(stiffness: Array, fit: Fit, places: Places, *, rough: bool = False) -> MatrixNoise:
     """Return the noise of an (n, n) K_c, of elements or modes, whichever is more likely.
 
-    The estimate begins with that of ``before``, of a fit nearby.
+    ``rough``: for a typical error, by few draws.
     """
-    start = None if before is None else before.logs
-    variance, logs = element_variance(stiffness, fit, places, start)
+    variance = element_variance(stiffness, fit, places)
     if variance is None:
-        return MatrixNoise(None, logs=logs)
+        return MatrixNoise(None)
     n = len(variance)
-    drawn = scores([fit], variance, draws)[0]
+    drawn = scores([fit], variance, 20 if rough else MAX_DRAWS)[0]
     by_noise = -drawn @ fit.covariance
     unit = np.random.default_rng(1).standard_normal(by_noise.shape)
     known = fit.asked.information(n)
@@ -376,7 +369,7 @@ def noise_of(
         pulled = unit * some - (unit * some * known) @ fit.covariance
         feigned, passed = (np.sum(each[:, some] ** 2) / len(each) for each in (by_noise, pulled))
         scatter.append(float(np.sqrt(max(found - feigned, 0.0) / passed)))
-    return MatrixNoise(variance, (scatter[0], scatter[1]), drawn, logs)
+    return MatrixNoise(variance, (scatter[0], scatter[1]), drawn)
 
 
 def scores(fits: Sequence[Fit], variance: Array, most: int = MAX_DRAWS) -> list[Array]:
