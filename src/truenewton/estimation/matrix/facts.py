@@ -1,12 +1,12 @@
-"""Properties of a stiffness matrix, each computed once, and tests of alpha that they permit.
+"""Properties of a stiffness matrix, each computed once, and the tests of alpha based on them.
 
-A rigid motion costs a free shell no force: K {1, x, y} vanishes except for the gains of the
-sensors, and {1, x, y}' K except for alpha, which scatters more. In a transposed matrix they change
-places.
+A rigid-body motion of a free shell requires no force. Therefore K {1, x, y} differs from zero only
+by sensor gains, and {1, x, y}' K only by alpha, which scatters more. Transposing the matrix
+exchanges the two.
 
 The true stiffness K = diag(alpha) M diag(1 / g) of an elastic body is symmetric and has no negative
-mode (M: commanded force per reading, g: true displacement per reading). Neither property enters the
-balance of forces, so both test alpha and the matrix independently.
+mode (M: commanded force per reading, g: true displacement per reading). The
+force balance uses neither property, so both are independent tests of alpha and the matrix.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from truenewton.estimation.readings.moments import rounding_steps
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
-# Of the stiffest: softer modes mix with the rigid motions through the bias magnets' gradient.
+# Relative to the stiffest mode. The bias magnets' gradient mixes softer modes with rigid motions.
 MIN_SINGULAR_VALUE = 1e-4
-MIN_ASYMMETRY = 0.005  # below which symmetry is not judged
-TRANSPOSED_COST_RATIO = 2.0  # cost of rigid displacements relative to the imbalance of columns
-# Of the diagonal element: more than the gains of sensors cost, which scatter by per cent.
+MIN_ASYMMETRY = 0.005  # symmetry is not judged below this
+TRANSPOSED_COST_RATIO = 2.0  # rigid-body residual relative to the column imbalance
+# Rigid-body residual relative to the diagonal. Sensor gains, which scatter by 1 %, cause less.
 MAX_SENSOR_COST = 0.05
-# Imbalance and asymmetry, relative to the stiffness: no measured matrix has less.
+# Imbalance and asymmetry relative to the stiffness. Every measured matrix has more.
 MIN_MEASURED_DEVIATION = 1e-6
 
 
@@ -46,7 +46,7 @@ class ElasticModes:
     readings: Array  # (n, m) V
 
     def every(self, some: slice) -> ElasticModes:
-        """Return some of the modes."""
+        """Return the selected modes."""
         return ElasticModes(self.forces[:, some], self.values[some], self.readings[:, some])
 
     @property
@@ -64,7 +64,7 @@ class MatrixFacts:
 
     @classmethod
     def of(cls, matrix: StiffnessMatrix) -> MatrixFacts:
-        """Return those of the enabled actuators of a matrix."""
+        """Return the properties of a matrix, restricted to enabled actuators."""
         return cls(matrix.used_stiffness, comparable_arms(matrix.layout))
 
     @cached_property
@@ -73,15 +73,15 @@ class MatrixFacts:
 
     @property
     def singular_values(self) -> Array:
-        """(n,) descending [N/m]."""
+        """(n,) singular values, descending [N/m]."""
         return self._decomposition[1]
 
     @property
     def elastic_modes(self) -> ElasticModes:
-        """The elastic modes, n - 3 at most."""
+        """The elastic modes, at most n - 3."""
         forces, values, readings = self._decomposition
         stiff = np.count_nonzero(values > MIN_SINGULAR_VALUE * values[0])
-        count = min(int(stiff), len(values) - 3)  # noise may lift the three rigid motions
+        count = min(int(stiff), len(values) - 3)  # noise may raise the three rigid-body modes
         return ElasticModes(forces[:, :count], values[:count], readings[:count].T)
 
     @cached_property
@@ -110,29 +110,28 @@ class MatrixFacts:
 
     @property
     def rigid_cost(self) -> float:
-        """Median force of a rigid displacement, relative to the diagonal element."""
+        """Rigid-body residual: median force of a rigid motion, relative to the diagonal element."""
         return self._cost_and_imbalance[0]
 
     @property
     def imbalance(self) -> float:
-        """Median imbalance of a column, relative to its diagonal element."""
+        """Median column imbalance, relative to the diagonal element."""
         return self._cost_and_imbalance[1]
 
     @cached_property
     def balances_by_rounding(self) -> bool:
         """Whether commanded forces balance except for rounding, so that alpha cannot be estimated.
 
-        The rounding is that of the computer, of single precision, or of a file with few digits. If
-        rigid motions cost more than the gains of sensors do, only displacements were cleaned, and
-        the matrix is transposed.
+        The rounding may be that of double or single precision, or of a file with few digits. A
+        large rigid-body residual means a transposed matrix with only its displacements cleaned.
         """
-        imbalance, unlike, k = self.imbalance, self.asymmetry, self.stiffness
+        imbalance, asymmetry, k = self.imbalance, self.asymmetry, self.stiffness
         if self.rigid_cost > MAX_SENSOR_COST:
             return False
-        # No measured columns balance a thousand times better than rows are like columns.
-        if imbalance < max(MIN_MEASURED_DEVIATION, 1e-3 * unlike):
+        # In a measured matrix the imbalance exceeds a thousandth of the asymmetry.
+        if imbalance < max(MIN_MEASURED_DEVIATION, 1e-3 * asymmetry):
             return True
-        if imbalance > 0.2 * unlike:  # rounding would hide the asymmetry as well
+        if imbalance > 0.2 * asymmetry:  # rounding alone would produce this asymmetry too
             return False
         own, steps = np.abs(np.diag(k)), rounding_steps(list(k.T))[:, None]  # of each actuator
         variances = np.maximum(steps, _digit_steps(k)) ** 2 / 12.0
@@ -142,16 +141,16 @@ class MatrixFacts:
 
     @property
     def looks_transposed(self) -> bool:
-        """Whether rigid displacements cost much more than the imbalance of columns."""
+        """Whether the rigid-body residual is much larger than the column imbalance."""
         costs_more = self.rigid_cost > TRANSPOSED_COST_RATIO * self.imbalance
         return costs_more and not self.balances_by_rounding
 
 
 def _digit_steps(k: Array) -> Array:
-    """Return the (n, n) rounding steps of the significant digits that all elements have, or 0."""
+    """Return (n, n) rounding steps if all elements have few significant digits, otherwise 0."""
     size = np.abs(k)
     tens = 10.0 ** np.floor(np.log10(np.where(size > 0.0, size, 1.0)))
-    for digits in range(3, 7):  # more digits leave what single precision leaves
+    for digits in range(3, 7):  # more digits: as single precision
         steps = tens * 10.0 ** (1 - digits)
         if (np.abs(size / steps - np.round(size / steps)) < 0.02).all():
             return np.where(size > 0.0, steps, 0.0)
@@ -160,32 +159,32 @@ def _digit_steps(k: Array) -> Array:
 
 @dataclass(frozen=True)
 class Symmetry:
-    """|K - K'| / |K + K'| of a measured matrix (Frobenius norms); NaN if not known."""
+    """|K - K'| / |K + K'| of a measured matrix (Frobenius norms)."""
 
-    asymmetry: float  # as commanded
-    asymmetry_with_alpha: float  # with alpha
-    asymmetry_with_gains: float = float("nan")  # with alpha and the gains of the sensors
+    asymmetry: float  # of commanded forces
+    asymmetry_with_alpha: float  # of true forces
+    asymmetry_with_gains: float = float("nan")  # with sensor gains too; NaN if they are unknown
 
 
 def symmetry_of(facts: MatrixFacts, alpha: Array, gain: Array | None = None) -> Symmetry:
-    """Return the symmetry of a matrix of commanded forces with (n,) alpha and gains."""
+    """Return the asymmetry of a matrix before and after correction for (n,) alpha and gains."""
     k = alpha[:, None] * facts.stiffness
     with_gains = float("nan") if gain is None else linalg.asymmetry(k / gain)
     return Symmetry(facts.asymmetry, linalg.asymmetry(k), with_gains)
 
 
 def negative_modes(commanded: Array, alpha: Array) -> tuple[Array, float]:
-    """Return the stiffness of negative elastic modes, ascending, and the largest by noise [N/m]."""
+    """Return (m,) negative elastic stiffnesses, ascending, and the noise limit of |k| [N/m]."""
     k = alpha[:, None] * commanded
-    # A symmetric matrix of noise with standard deviation s has no mode beyond 2 s root n (Wigner).
-    s = float(np.sqrt(np.mean((k - k.T) ** 2))) / 2.0  # of the noise in the symmetric part
+    # Eigenvalues of an n x n symmetric noise matrix (sigma s) are within 2 s sqrt(n) (Wigner).
+    s = float(np.sqrt(np.mean((k - k.T) ** 2))) / 2.0  # noise of the symmetric part
     values = np.sign(np.trace(k)) * scipy.linalg.eigvalsh(0.5 * (k + k.T))
     elastic = values[np.argsort(np.abs(values))[3:]]  # rigid modes: about 0, of either sign
     return np.sort(elastic[elastic < 0.0]), 2.0 * s * float(np.sqrt(len(k)))
 
 
 def doubts_of(commanded: Array, alpha: Array, symmetry: Symmetry) -> Iterator[Finding]:
-    """Yield what contradicts an (n, n) matrix or its (n,) alpha."""
+    """Yield evidence against an (n, n) matrix or its (n,) alpha."""
     negative, by_noise = negative_modes(commanded, alpha)
     if negative.size:
         beyond = -negative[0] > LIMITS.negative_edges * by_noise

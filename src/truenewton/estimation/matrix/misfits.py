@@ -1,13 +1,13 @@
 """Actuators and sensors of a stiffness matrix that do not fit the others.
 
-A true stiffness is symmetric, so a commanded one is except for a factor of each actuator. Pairs of
-neighbours give this factor robustly. An actuator does not fit if its row then differs in sign or
-size, is unlike its column, belongs to another position, or leaves a column out of balance. States
-in which such actuators exert no force do not depend on them, whatever their sensors read.
+A true stiffness is symmetric. A measured one becomes symmetric if each row is multiplied by a
+factor, which pairs of neighbours give robustly. An actuator is a misfit if its scaled row has the
+wrong sign or size, differs from its column, belongs to another position, or unbalances a column.
+Misfits are eliminated: in states in which they exert no force, their data are not needed.
 
-Symmetry gives the factor of a row relative to its column, and not which of them is wrong. The
-columns of the neighbours do: they balance with the measured row, whatever the gain of its sensor,
-but not with a row that was made to agree with a wrong column.
+Symmetry gives the factor of a row relative to its column, but not which of the two is wrong. The
+columns of the neighbours decide: they balance with the measured row, whatever its sensor gain, but
+not with a row that was scaled to agree with a wrong column.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from truenewton.estimation.matrix.couplings import (
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import row_order
 
-MIN_GAIN_FACTOR = 1.1  # relative to other sensors: less is not a wrong gain
-# Log gain relative to the median: all sensors off their magnets seem to have other gains.
+MIN_GAIN_FACTOR = 1.1  # relative to other sensors; a smaller factor is tolerated
+# |log gain| relative to the median, because every sensor off its magnet has an apparent gain.
 MIN_GAIN_DEVIATION = 4.5
-MAX_GAIN_REMAINDER = 0.5  # imbalance of the columns around, relative to that without correction
-ELEMENT_TOLERANCE = 0.03  # of an element, within which it is the same as its transpose
-MAX_SOUGHT_FACTOR = 30.0  # largest gain error that is looked for
-MIN_IMBALANCE_RATIO = 5.0  # relative to the median: columns that are out of balance
-MAX_COMMON_REMAINDER = 0.05  # the same if many gains are wrong at once
+MAX_GAIN_REMAINDER = 0.5  # imbalance of adjacent columns, corrected relative to uncorrected
+ELEMENT_TOLERANCE = 0.03  # relative; an element within it equals its transpose
+MAX_SOUGHT_FACTOR = 30.0  # largest gain error in the search
+MIN_IMBALANCE_RATIO = 5.0  # an unbalanced column, relative to the median
+MAX_COMMON_REMAINDER = 0.05  # as MAX_GAIN_REMAINDER, if gains are found together
 
 
 def wrong_gains(
@@ -48,14 +48,14 @@ def wrong_gains(
 ) -> Array:
     """Return (n,) gains of the sensors, 1 except where one is wrong.
 
-    A gain g makes a row that agrees with its column g times too large. Several in one sector are
-    found together if that balances all columns around them. Otherwise they are found one by one,
-    each by the median over the columns around it, the most effective first. A sensor off its magnet
-    also reads a slope, which looks like a gain, so a gain must stand out from the others.
+    If a sensor gain is g, the row that agrees with its column is g times too large. Wrong gains in
+    one sector are found together if they balance all adjacent columns. Otherwise the most effective
+    one is found first, each by the median over its adjacent columns. A sensor off its magnet also
+    measures a slope, which looks like a gain; a wrong gain must therefore be an outlier.
 
     ``even`` is the (n, n) stiffness with rows scaled to agree with the columns, ``a`` (3, n) arms,
-    and ``strong`` (n, n) marks coupled pairs. The columns of ``noisy`` actuators are unlike their
-    rows: their imbalance is not attributed to rows if gains are found together.
+    and ``strong`` (n, n) marks coupled pairs. The columns of ``noisy`` actuators differ from their
+    rows. When gains are found together, the imbalance of these columns is ignored.
     """
     together = _gains_together(even, a, noisy)
     if together is not None:
@@ -84,10 +84,10 @@ def wrong_gains(
         far = size > max(
             np.log(MIN_GAIN_FACTOR), MIN_GAIN_DEVIATION * float(np.median(size[around]))
         )
-        cures = far & (costs[1] < MAX_GAIN_REMAINDER * costs[0])
-        if not cures.any():
+        effective = far & (costs[1] < MAX_GAIN_REMAINDER * costs[0])
+        if not effective.any():
             break
-        i = int(np.argmax(np.where(cures, costs[0] - costs[1], -np.inf)))
+        i = int(np.argmax(np.where(effective, costs[0] - costs[1], -np.inf)))
         even[i] *= t[i]
         even[:, i] *= t[i]
         own[i] *= t[i] ** 2
@@ -96,16 +96,16 @@ def wrong_gains(
 
 
 def _own(even: Array) -> Array:
-    """Return (n,) sizes of the diagonal elements; the median where one is 0."""
+    """Return (n,) absolute diagonal elements, with zeros replaced by the median."""
     own = np.abs(np.diag(even))
     return np.where(own > 0.0, own, np.median(own))
 
 
 def _gains_together(even: Array, a: Array, noisy: Sequence[int]) -> Array | None:
-    """Return (n,) gains that balance all columns around them; None if no few gains do.
+    """Return (n,) gains that balance all adjacent columns; None if this requires many wrong gains.
 
-    The rows t of a diag(t) K have least absolute imbalance. |t - 1| is penalized, so that few rows
-    differ from 1; these are then fitted without penalty.
+    The row factors t minimise the absolute imbalance of a diag(t) K. A penalty on |t - 1| keeps
+    most of them at 1; the others are then fitted without penalty.
     """
     columns = even / _own(even)
     before = np.linalg.norm(a @ columns, axis=0)
@@ -133,14 +133,14 @@ def _gains_together(even: Array, a: Array, noisy: Sequence[int]) -> Array | None
 
 
 def _row_factors(columns: Array, a: Array, some: NDArray[np.int64], penalty: float) -> Array:
-    """Return (n,) factors of some rows, 1 for the others, by which the columns balance best."""
+    """Return the (n,) row factors that balance the columns best, 1 except for the rows ``some``."""
     t, products = np.ones(len(columns)), a.T @ a
     for _ in range(25):
         size = np.linalg.norm((a * t) @ columns, axis=0)
         weight = 1.0 / np.maximum(size, max(float(np.median(size)), 1e-6))
         square = products[some] * ((columns[some] * weight) @ columns.T)
-        held = penalty / np.maximum(np.abs(t[some] - 1.0), 0.02)
-        step = np.linalg.solve(square[:, some] + np.diag(held), square.sum(axis=1))
+        prior = penalty / np.maximum(np.abs(t[some] - 1.0), 0.02)
+        step = np.linalg.solve(square[:, some] + np.diag(prior), square.sum(axis=1))
         change, t[some] = np.abs(t[some] - 1.0 + step).max(), 1.0 - step
         if change < 1e-3:
             break
@@ -148,11 +148,11 @@ def _row_factors(columns: Array, a: Array, some: NDArray[np.int64], penalty: flo
 
 
 def signs(even: Array, a: Array, wrong: NDArray[np.int64], strong: NDArray[np.bool_]) -> Array:
-    """Return (n,) signs of the sensors, -1 if the sensor is reversed and not the coil.
+    """Return (n,) signs of the sensors, -1 for a reversed sensor (and not a reversed coil).
 
-    Either reverses the diagonal element, and makes row and column differ in sign. If it is the
-    sensor, the columns around balance with the measured row. Arguments as for `wrong_gains`, with
-    the indices of the actuators of wrong sign.
+    Both reverse the diagonal element, and make row and column differ in sign. If the sensor is
+    reversed, adjacent columns balance with the measured row. ``wrong`` are indices of actuators of
+    wrong sign; the other arguments are those of `wrong_gains`.
     """
     own = _own(even)
     rho, sign = a @ even, np.ones(len(even))
@@ -165,20 +165,21 @@ def signs(even: Array, a: Array, wrong: NDArray[np.int64], strong: NDArray[np.bo
 
 
 def fill_by_symmetry(k: Array, a: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Return the (n, n) matrix with zero rows filled by columns and the reverse, and their indices.
+    """Return the (n, n) matrix with zero rows filled from columns and vice versa; their indices.
 
-    An actuator with a row exerted force, whatever its sensor reads. One with a column did if the
+    An actuator whose row is not zero exerted force. One with only a column exerted force if the
     other columns balance with the row that symmetry predicts. Arms are (3, n).
     """
-    there, read = k.any(axis=1), k.any(axis=0)
-    rows, columns = np.flatnonzero(read & ~there), np.flatnonzero(there & ~read)
+    has_row, has_column = k.any(axis=1), k.any(axis=0)
+    rows = np.flatnonzero(has_column & ~has_row)
+    columns = np.flatnonzero(has_row & ~has_column)
     if not (rows.size or columns.size):
         return k, rows, columns
     factor = np.exp(pair_ratios(k)[0])[:, None]
     even = factor * k
     even = columns_by_rows(even, a, columns)
     filled = columns_by_rows(even.T, a, rows).T
-    sound = there & read
+    sound = has_row & has_column
     own = np.diag(even)[sound]
     before, after = (
         np.sum(np.abs(a @ each[:, sound] / np.where(own != 0.0, own, np.inf)))
@@ -190,7 +191,7 @@ def fill_by_symmetry(k: Array, a: Array) -> tuple[Array, NDArray[np.int64], NDAr
 
 
 def agrees(even: Array, i: int, near: NDArray[np.bool_]) -> bool:
-    """Return whether a column of an (n, n) stiffness equals its row, at the (n,) others near it."""
+    """Return whether most elements of column and row i agree, at (n,) neighbours ``near``."""
     far = np.abs(even[near, i] - even[i, near]) > ELEMENT_TOLERANCE * np.abs(even[i, near])
     return not far.any() or float(np.median(far)) < 0.5
 
@@ -198,8 +199,8 @@ def agrees(even: Array, i: int, near: NDArray[np.bool_]) -> bool:
 def columns_by_rows(even: Array, a: Array, bad: NDArray[np.int64]) -> Array:
     """Return an (n, n) stiffness with the columns of bad sensors replaced by their rows.
 
-    Neither element between two of them is right: they are averaged, and take up the imbalance of
-    the column, those of neighbours most. Arms are (3, n).
+    Both elements between two bad sensors are wrong. They are averaged and then corrected so that
+    the column balances, neighbours most. Arms are (3, n).
     """
     out, some = even.copy(), np.ix_(bad, bad)
     out[some] = 0.5 * (even[some] + even[some].T)
@@ -219,24 +220,24 @@ def columns_by_rows(even: Array, a: Array, bad: NDArray[np.int64]) -> Array:
 def column_by_row(even: Array, a: Array, i: int) -> Array:
     """Return the (n,) column of a bad sensor: the row of its actuator.
 
-    The diagonal element stays if the column balances with it; otherwise it balances the column.
+    The diagonal element is kept if it balances the column, and otherwise replaced by one that does.
     """
     column = even[i].copy()
     column[i] = 0.0
     balanced = -float(a[:, i] @ (a @ column)) / float(a[:, i] @ a[:, i])
-    alike = abs(balanced - even[i, i]) < ELEMENT_TOLERANCE * abs(balanced)
-    column[i] = even[i, i] if alike else balanced
+    agree = abs(balanced - even[i, i]) < ELEMENT_TOLERANCE * abs(balanced)
+    column[i] = even[i, i] if agree else balanced
     return np.asarray(column)
 
 
-MAX_ALPHA_RATIO = 3.0  # of alpha to that of the others
+MAX_ALPHA_RATIO = 3.0  # of alpha relative to the median
 ASYMMETRY_RATIO = 8.0  # asymmetry of an actuator relative to the median
 COLUMN_IMBALANCE_RATIO = 12.0  # imbalance of a column relative to the median
-# Asymmetry relative to the couplings, imbalance relative to the diagonal: less is no misfit.
+# Smallest asymmetry (relative to the couplings) or imbalance (to the diagonal) of a misfit.
 MIN_MISFIT = 0.05
-ELEMENT_RATIO = 30.0  # difference relative to elements of its size and of both actuators
+ELEMENT_RATIO = 30.0  # asymmetry, relative to elements of similar size and of the two actuators
 MIN_ELEMENT_DIFFERENCE = 0.01  # from the transpose, relative to the diagonal
-MIN_EXCHANGE_GAIN = 1.2  # misfit relative to that with both exchanged; neighbours reach 0.6
+MIN_EXCHANGE_GAIN = 1.2  # misfit relative to that after an exchange; sound neighbours reach 0.6
 
 OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
 SENSOR_SIGN = "its sensor has the other sign"
@@ -244,7 +245,7 @@ SENSOR_GAIN, SENSOR = "its sensor gain is an outlier", "its sensor reads somethi
 ROW_UNLIKE_COLUMN = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
 NO_SENSOR, NO_FORCE = "its sensor reads nothing", "its row is zero, though it pushed"
-# Force at zero command relative to the couplings, after correction; that of an unknown row.
+# Force at zero command after correction, relative to the couplings, if the row is unknown.
 UNKNOWN_FORCE = 0.3
 REMAINING_FORCES = {
     SENSOR: 0.1,
@@ -257,7 +258,7 @@ REMAINING_FORCES = {
 
 @dataclass(frozen=True)
 class BadActuator:
-    """An actuator that does not fit: its index, the reason, and the size as a ratio."""
+    """A misfit: the index of the actuator, the reason, and the size as a ratio."""
 
     index: int
     reason: str
@@ -265,29 +266,29 @@ class BadActuator:
 
     @property
     def doubt(self) -> float:
-        """Force at zero command relative to the couplings, after correction."""
+        """Possible force at zero command after correction, relative to the couplings."""
         return REMAINING_FORCES.get(self.reason, 0.0)
 
 
 class FitsNoSymmetry(RankDeficient):
-    """So many actuators do not fit that the bad ones cannot be identified."""
+    """Too many misfits: the bad actuators cannot be identified."""
 
 
 def bad_actuators(
     facts: MatrixFacts, gaps: Array, filled: Sequence[int] = ()
 ) -> tuple[tuple[BadActuator, ...], Array]:
-    """Return the actuators that do not fit, and the (n, n) stiffness corrected where possible.
+    """Return the misfits, and the (n, n) stiffness corrected where possible.
 
     ``facts`` are those of a stiffness without empty rows or columns. ``gaps`` are (3, m) arms of
-    actuators that are not in the matrix, around which columns need not balance. ``filled`` are the
+    actuators that are not in the matrix, so that adjacent columns may be unbalanced. ``filled`` are
     indices of rows or columns that were filled by symmetry.
 
     Raises
     ------
     RankDeficient
-        Rows or columns are in another order, or of another sign.
+        Many rows or columns have the wrong order or sign.
     FitsNoSymmetry
-        More than a few do not fit for other reasons.
+        There are too many other misfits.
     """
     found: dict[int, BadActuator] = {}
     k, a, n = facts.stiffness, facts.arms, len(facts.stiffness)
@@ -324,32 +325,32 @@ def bad_actuators(
     found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
     factor, k, even = factor * turned, k * turned, even * np.outer(turned, turned)
     gain = wrong_gains(even, a, linked, [i for i, _ in _unlike_their_columns(misfit)])
-    deaf = np.flatnonzero(gain != 1.0)
-    misfit[deaf], misfit[:, deaf] = np.nan, np.nan
+    bad_gain = np.flatnonzero(gain != 1.0)
+    misfit[bad_gain], misfit[:, bad_gain] = np.nan, np.nan
     log_alpha = log_alpha - np.log(gain)
     far = np.flatnonzero(np.abs(log_alpha) > np.log(MAX_ALPHA_RATIO))
     for i, ratio in zip(far, np.exp(-log_alpha[far]), strict=True):
         add(f"its row {ratio:.2g} times as large as those of others", [(i, ratio)])
     factor = factor * np.exp(log_alpha)
     even = factor[:, None] * k[order] / gain
-    only_gain = np.array([agrees(even, i, linked[i]) for i in deaf.tolist()], bool)
-    for some, reason in ((deaf[only_gain], SENSOR_GAIN), (deaf[~only_gain], SENSOR)):
+    only_gain = np.array([agrees(even, i, linked[i]) for i in bad_gain.tolist()], bool)
+    for some, reason in ((bad_gain[only_gain], SENSOR_GAIN), (bad_gain[~only_gain], SENSOR)):
         add(reason, zip(some, gain[some], strict=True))
-    even = columns_by_rows(even, a, deaf[~only_gain])
+    even = columns_by_rows(even, a, bad_gain[~only_gain])
     unlike = _unlike_their_columns(misfit)
     add(ROW_UNLIKE_COLUMN, unlike)
     _make_alike(even, a, [i for i, _ in unlike], linked)
     place = exchanged_places(even, a)
     moved = np.flatnonzero(place != np.arange(n))
     add("exchanged with a neighbour", ((i, 1.0) for i in moved))
-    mended = [*filled, *deaf[~only_gain].tolist(), *(i for i, _ in unlike)]
+    mended = [*filled, *bad_gain[~only_gain].tolist(), *(i for i, _ in unlike)]
     holes = np.concatenate([gaps, a[:, [i for i, _ in unlike]]], axis=1)
     add(ELEMENT_WRONG, _mend_elements(even, a[:, place], holes, mended))
     return tuple(found[i] for i in sorted(found)), even / factor[:, None]
 
 
 def _make_alike(even: Array, a: Array, some: Sequence[int], linked: NDArray[np.bool_]) -> None:
-    """Replace the row by the column of some actuators, or the reverse, whichever balances."""
+    """Replace the row by the column of some actuators, or vice versa, whichever balances better."""
     for i in some:
         rho = a @ even
         by_column = rho + a[:, [i]] * (even[:, i] - even[i])
@@ -361,7 +362,7 @@ def _make_alike(even: Array, a: Array, some: Sequence[int], linked: NDArray[np.b
 
 
 def _unlike_their_columns(misfit: Array) -> list[tuple[int, float]]:
-    """Return actuators with most couplings unlike their transposes, the worst first."""
+    """Return actuators whose median asymmetry of couplings is an outlier, the worst first."""
     misfit = np.minimum(misfit, 10.0)
     out: list[tuple[int, float]] = []
     while True:
@@ -376,10 +377,10 @@ def _unlike_their_columns(misfit: Array) -> list[tuple[int, float]]:
 
 
 def exchanged_places(k: Array, a: Array) -> NDArray[np.int64]:
-    """Return whose position of (3, n) arms each actuator of an (n, n) stiffness occupies.
+    """Return, for each actuator of an (n, n) stiffness, the index of its position in (3, n) arms.
 
-    All pairs give the coupling as a function of distance. Neighbours are exchanged while their
-    couplings fit better so, the best first.
+    The expected coupling is the median of all pairs at the same distance. Two neighbours are
+    exchanged, the best pair first, as long as their couplings then fit better.
     """
     x, y = a[1], a[2]
     distance = np.hypot(x[:, None] - x, y[:, None] - y)
@@ -412,11 +413,11 @@ def exchanged_places(k: Array, a: Array) -> NDArray[np.int64]:
 def _mend_elements(
     k: Array, a: Array, holes: Array, mended: Sequence[int]
 ) -> list[tuple[int, float]]:
-    """Correct elements in place that cannot be right; return their rows and sizes.
+    """Correct single wrong elements in place; return their rows and sizes.
 
-    The moments of an excess force in a column, over its size, give its position. An element that
-    differs from its transpose is wrong in the column that is further from balance. Around (3, h)
-    holes columns need not balance, nor need those of ``mended``.
+    The unbalanced moments of a column, divided by its unbalanced force, give the row of the error.
+    If an element differs from its transpose, the one in the less balanced column is corrected.
+    Columns near (3, h) ``holes`` and of ``mended`` actuators may be unbalanced.
     """
     out: list[tuple[int, float]] = []
     own = np.abs(np.diag(k))
@@ -442,8 +443,8 @@ def _mend_elements(
     for i, j in pairs[np.argsort(-times[tuple(pairs.T)], kind="stable")]:
         if explained[i] and explained[j]:
             continue
-        much = k[i, j] - k[j, i]
-        in_j, in_i = rho[:, j] - much / own[j] * a[:, i], rho[:, i] + much / own[i] * a[:, j]
+        excess = k[i, j] - k[j, i]
+        in_j, in_i = rho[:, j] - excess / own[j] * a[:, i], rho[:, i] + excess / own[i] * a[:, j]
         better_j = np.linalg.norm(in_j) * size[i] < np.linalg.norm(in_i) * size[j]
         row, column = (i, j) if better_j else (j, i)
         rho[:, column] = in_j if better_j else in_i
@@ -454,8 +455,8 @@ def _mend_elements(
     size[list(mended)] = 0.0
     for j in np.flatnonzero((size > limit) & ~explained):
         force = rho[:, j] @ a / np.sum(a**2, axis=0)
-        left = np.linalg.norm(rho[:, [j]] - force * a, axis=0)
-        row = int(np.argmin(left))
+        remainder = np.linalg.norm(rho[:, [j]] - force * a, axis=0)
+        row = int(np.argmin(remainder))
         if explained[row]:
             continue
         k[row, j] -= force[row] * own[j]
@@ -464,11 +465,11 @@ def _mend_elements(
 
 
 def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Return the stiffness in states in which some actuators exert no force, and its errors.
+    """Return the (g, g) stiffness condensed to good actuators, (g, n) L and (n, g) P.
 
-    K_gg - K_gb K_bb^-1 K_bg = L K P; to first order errors E of K become L E P. ``good`` marks the
-    (n,) actuators that stay; empty rows or columns of the (n, n) k are left out. Returned are (g,
-    g) K, (g, n) L and (n, g) P.
+    The other actuators exert no force: K_gg - K_gb K_bb^-1 K_bg = L K P. To first order, an error E
+    of K becomes L E P. ``good`` marks the (n,) actuators that are kept. Actuators with an empty row
+    or column of the (n, n) ``k`` are omitted.
     """
     left, right = np.eye(len(k))[good], np.eye(len(k))[:, good]
     free = np.asarray(~good & k.any(axis=1) & k.any(axis=0), dtype=np.bool_)
@@ -476,7 +477,7 @@ def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
         inverse = np.linalg.pinv(k[np.ix_(free, free)], rcond=1e-6)
         left[:, free] = -k[np.ix_(good, free)] @ inverse
         right[free] = -inverse @ k[np.ix_(free, good)]
-    # L K P, of which L K is enough: K P has no rows of those that are free.
+    # L K suffices instead of L K P: the rows of K P of the free actuators are zero.
     core = k[np.ix_(good, good)] + left[:, free] @ k[np.ix_(free, good)]
     return np.asarray(core), left, right
 
@@ -484,10 +485,10 @@ def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
 def residual_force(
     k: Array, a: Array, good: NDArray[np.bool_], doubt: NDArray[np.float64]
 ) -> Array:
-    """Return (n_good, 3, 3) covariances of forces that actuators left out may still exert.
+    """Return (n_good, 3, 3) covariances of forces that omitted actuators may still exert.
 
-    ``k`` is (n, n) [N/m], ``a`` (3, n) arms, ``good`` (n,) those not left out. ``doubt`` is the
-    (n,) force relative to the couplings, or to the diagonal for empty rows.
+    ``k`` is (n, n) [N/m], ``a`` (3, n) arms. ``good`` marks the (n,) actuators that are kept.
+    ``doubt`` is the (n,) force relative to the couplings, or to the diagonal for empty rows.
     """
     c = np.abs(relative_couplings(k))
     c = np.maximum(c, c.T)

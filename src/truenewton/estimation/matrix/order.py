@@ -1,9 +1,10 @@
 """Whether an array is a stiffness matrix, its orientation, and the order of its coordinates.
 
-A rigid motion costs a free shell no force (`facts`). With the coordinates of other actuators it is
-bent. The orientation is judged by medians over actuators, which a few bad ones do not change.
+A rigid-body motion of a free shell requires no force (`facts`). If coordinates are assigned to the
+wrong actuators, the computed motion bends the shell. The orientation is judged by medians over
+actuators, which a few bad actuators do not change.
 
-Forces that balance as commanded, to the rounding of the file, were not measured: either rigid
+Commanded forces that balance to the rounding of the file were not measured. Either rigid-body
 motions were projected out, which mixes the alpha of each column into all rows, or alpha was 1.
 """
 
@@ -32,14 +33,14 @@ from truenewton.estimation.matrix.facts import (
 from truenewton.linalg import assignment
 from truenewton.statics.layout import Layout
 
-# Gains or alpha that scatter by 10 % cost 0.08, neighbours exchanged on 45 actuators 0.09; random
-# places 0.9, those sorted by radius 0.4.
+# Rigid-body residuals: 0.08 if gains or alpha scatter by 10 %, 0.09 if two neighbours of 45
+# actuators are exchanged, 0.4 if positions are sorted by radius, 0.9 if they are random.
 MAX_RIGID_COST = 0.12
-MIN_COST_RATIO = 3.0  # cost in this order relative to that in the right one
-MIN_EXPLAINED_COUPLING = 0.65  # part of the couplings that distance explains
-# Imbalance of columns relative to the diagonal, more than sensors and alpha leave in both.
+MIN_COST_RATIO = 3.0  # rigid-body residual in this order relative to the right one
+MIN_EXPLAINED_COUPLING = 0.65  # fraction of the squared couplings that distance explains
+# Column imbalance relative to the diagonal. Measured matrices have more, as alpha differs from 1.
 MIN_MEASURED_IMBALANCE = 0.02
-MAX_SOFTEST_COST = 1.5  # cost of rigid motions relative to any motion; that of a stiffness is small
+MAX_SOFTEST_COST = 1.5  # rigid-body residual relative to an arbitrary motion; small for a stiffness
 
 
 def refuse_no_stiffness(k: Array) -> None:
@@ -67,7 +68,7 @@ def refuse_no_stiffness(k: Array) -> None:
 
 
 def refuse_compliance(facts: MatrixFacts, layout: Layout) -> None:
-    """Raise RankDeficient for a matrix whose largest part is rigid motions."""
+    """Raise RankDeficient for a matrix that is dominated by rigid-body motions."""
     on = layout.enabled
     cost = rigid_cost(facts.squares, layout.x[on], layout.y[on])
     if cost > MAX_SOFTEST_COST:
@@ -81,13 +82,13 @@ def refuse_compliance(facts: MatrixFacts, layout: Layout) -> None:
 def row_order(k: Array) -> NDArray[np.int64]:
     """Return the row that belongs to each column of an (n, n) stiffness.
 
-    In a positive matrix the diagonal has the largest product of any order of rows, as |k_ij|^2 <
-    k_ii k_jj. Factors of rows and columns change all these products alike. Wrong elements may
-    exceed that bound, so rows stay unless they resemble the columns at their new position more.
+    In a positive definite matrix |k_ij|^2 < k_ii k_jj. The right order of rows therefore has the
+    largest product of diagonal elements, whatever the gains. Wrong elements may exceed the bound: a
+    row is moved only if it resembles the column at its new position more than its present column.
     """
     size = np.abs(k)
     least = 1e-12 * float(size.max())
-    # The order that is there must be worse to be left: not by rounding alone.
+    # The present order is favoured, so that rounding alone does not change it.
     cost = -np.log(np.maximum(size, least)) - 1e-6 * np.eye(len(k))
     order = assignment(cost.T)
     left = {int(i) for i in np.flatnonzero(order != np.arange(len(k)))}
@@ -105,7 +106,7 @@ def row_order(k: Array) -> NDArray[np.int64]:
 def _likeness(
     k: Array, order: NDArray[np.int64], at: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> float:
-    """Return how similar rows and the columns taken for them are, by the other elements."""
+    """Return the similarity of rows to the columns ``at``, by the elements of all others."""
     others = np.delete(np.arange(len(k)), at)
     r, c = k[np.ix_(rows, others)], k[np.ix_(order[others], at)].T
     sizes = np.linalg.norm(r, axis=1) * np.linalg.norm(c, axis=1)
@@ -113,9 +114,9 @@ def _likeness(
 
 
 def order_effects(facts: MatrixFacts, layout: Layout) -> Iterator[Finding]:
-    """Yield that the coordinates are in another order than the matrix, or that forces are missing.
+    """Yield a finding if the order of coordinates and matrix differs, or if forces are missing.
 
-    If the true order is identified, which a few bad actuators cannot simulate, it is the detail.
+    If the true order is identified, the finding names it. A few bad actuators cannot imitate this.
     """
     x, y, on = layout.x, layout.y, layout.enabled
 
@@ -123,18 +124,18 @@ def order_effects(facts: MatrixFacts, layout: Layout) -> Iterator[Finding]:
         return rigid_cost(facts.squares, x[order][on], y[order][on])
 
     size = cost(np.arange(layout.n))
-    if size < 0.005:  # as low as in the right order
+    if size < 0.005:  # as small as in the right order
         return
     orders = ((cost(order), name) for name, order in other_orders(x, y))
     least, name = min(orders, default=(np.inf, ""))
-    told = least * MIN_COST_RATIO < size
+    identified = least * MIN_COST_RATIO < size
     unit = "of the force that any displacement costs, to move it rigidly"
-    if told or size > MAX_RIGID_COST:
-        share = share_by_distance(facts.stiffness, facts.arms)
-        if told or not share > MIN_EXPLAINED_COUPLING:
+    if identified or size > MAX_RIGID_COST:
+        explained = share_by_distance(facts.stiffness, facts.arms)
+        if identified or not explained > MIN_EXPLAINED_COUPLING:
             yield Finding(
                 code=Code.DISORDERED_STIFFNESS,
-                detail=name if told else "",
+                detail=name if identified else "",
                 size=size,
                 unit=unit,
                 remedy="put the rows of ACTUATORS in the order of rows and columns of STIFFNESS",
@@ -150,7 +151,7 @@ def order_effects(facts: MatrixFacts, layout: Layout) -> Iterator[Finding]:
 
 
 def balance_effects(facts: MatrixFacts) -> Iterator[Finding]:
-    """Yield that forces balance as commanded, so that alpha cannot be estimated."""
+    """Yield a finding if commanded forces balance, so that alpha cannot be estimated."""
     symmetric = facts.asymmetry < MIN_MEASURED_DEVIATION
     true = symmetric and facts.imbalance < MIN_MEASURED_IMBALANCE
     if true or facts.balances_by_rounding:
@@ -163,7 +164,7 @@ def balance_effects(facts: MatrixFacts) -> Iterator[Finding]:
 
 
 def orientation_effects(facts: MatrixFacts) -> Iterator[Finding]:
-    """Yield that a matrix is transposed, or was made symmetric: then alpha is that of sensors."""
+    """Yield a finding if the matrix is transposed or was symmetrised."""
     if (
         len(facts.stiffness) >= MIN_JUDGED_ACTUATORS
         and facts.asymmetry < MIN_MEASURED_DEVIATION
@@ -186,9 +187,9 @@ def orientation_effects(facts: MatrixFacts) -> Iterator[Finding]:
 
 
 def rigid_cost(squares: tuple[Array, Array], x: Array, y: Array) -> float:
-    """Return the cost of rigid motions relative to any motion, by (n, n) K'K or KK'.
+    """Return the rms force of rigid-body motions, relative to arbitrary motions.
 
-    The smaller of the two, with actuators at (n,) x and y.
+    ``squares`` are the (n, n) K'K and KK'; the smaller result is returned. Positions are (n,) x, y.
     """
     rigid = np.linalg.qr(np.stack([np.ones(len(x)), x, y], axis=1))[0]
     least = min(float(np.sum(rigid * (square @ rigid))) for square in squares)
@@ -196,7 +197,7 @@ def rigid_cost(squares: tuple[Array, Array], x: Array, y: Array) -> float:
 
 
 def other_orders(x: Array, y: Array) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """Yield common wrong orders, and the (n,) coordinates that belong to each row."""
+    """Yield name and (n,) row indices of the coordinates, for each common wrong order."""
     n = len(x)
     every = np.arange(n)
     yield "reversed", every[::-1]
@@ -220,11 +221,10 @@ def other_orders(x: Array, y: Array) -> Iterator[tuple[str, NDArray[np.int64]]]:
 
 
 def share_by_distance(k: Array, a: Array) -> float:
-    """Return the part of the couplings that distance explains, 1 for all.
+    """Return the fraction of the squared couplings that distance explains, at most 1.
 
-    The couplings are those of an (n, n) stiffness with (3, n) arms. Neighbours are coupled most,
-    and equally in one shell. Positions in another order explain nothing. NaN for fewer than four
-    actuators.
+    ``k`` is an (n, n) stiffness and ``a`` (3, n) arms. If positions are in the wrong order, the
+    fraction is about zero. It is NaN for fewer than four actuators.
     """
     if len(k) < 4:
         return float("nan")

@@ -1,4 +1,4 @@
-"""A stiffness matrix without the actuators that do not fit."""
+"""Elimination of actuators that are off or do not fit from a stiffness matrix."""
 
 from __future__ import annotations
 
@@ -48,17 +48,16 @@ from truenewton.statics.layout import Layout
 
 @dataclass(frozen=True, eq=False)
 class ScreenedMatrix:
-    """The part of a matrix that fits."""
+    """A matrix condensed to the actuators that fit."""
 
-    # actuators left out are disabled; the others as they are if these exert no force
-    matrix: StiffnessMatrix
+    matrix: StiffnessMatrix  # omitted actuators are disabled and exert no force
     facts: MatrixFacts  # of this matrix
-    start: Array  # (n_enabled,) alpha from symmetry, as if all sensors had one gain
-    # (n_enabled, 3, 3) covariance of what those left out may add to the balance of each column,
-    # torques in comparable units [N^2/m^2]
+    start: Array  # (n_enabled,) alpha from symmetry, if all sensors had the same gain
+    # (n_enabled, 3, 3) covariance of the forces and torques that omitted actuators may add to each
+    # column, torques in comparable units [N^2/m^2]
     disturbance: Array
     warnings: tuple[Finding, ...] = ()
-    effects: tuple[Finding, ...] = ()  # which were left out, and why
+    effects: tuple[Finding, ...] = ()  # omitted actuators with the reason
 
 
 def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
@@ -67,8 +66,8 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     Raises
     ------
     RankDeficient
-        Rows are in another order or of another sign, several actuators exert unmeasured forces,
-        or none is coupled to another.
+        Rows have the wrong order or sign, several actuators exert unmeasured forces, or the matrix
+        is diagonal.
     """
     refuse_segments(matrix)
     matrix = released(matrix)
@@ -78,7 +77,7 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     refuse_compliance(facts, matrix.layout)
     of_order = tuple(order_effects(facts, matrix.layout))
     disorder = (*(each for each in of_order if each.detail), *balance_effects(facts))
-    if disorder:  # whoever stands where is then no matter of single actuators
+    if disorder:  # single actuators cannot be judged then
         n = len(k)
         return ScreenedMatrix(matrix, facts, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
     ids = matrix.layout.id[matrix.layout.enabled]
@@ -111,7 +110,7 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     some_off = bool(off.any() and good.any())
     pushing = some_off and not _balanced_about(core, a, good, off, start)
     if pushing:
-        # Three equations of a column hold one alpha: two unknown forces leave nothing over.
+        # The three equations of a column contain one alpha: two unknown forces use up the rest.
         if np.count_nonzero(off) > 1:
             raise RankDeficient(
                 f"{named('actuator', ids[off].tolist(), 20)} have rows or columns of zeros in"
@@ -137,9 +136,9 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
 
 
 def released(matrix: StiffnessMatrix) -> StiffnessMatrix:
-    """Return a matrix in states in which disabled actuators exert no force.
+    """Return a matrix condensed to states in which disabled actuators exert no force.
 
-    An actuator that was off has an empty row and column, and is left out as it is.
+    An actuator that was off has an empty row and column, and needs no condensation.
     """
     on = matrix.layout.enabled
     k = np.asarray(matrix.stiffness)
@@ -158,7 +157,7 @@ def _mended(
     filled: list[int],
     facts: MatrixFacts | None,
 ) -> tuple[tuple[BadActuator, ...], Array]:
-    """Return the actuators that do not fit, by index among all, and the corrected (n, n) k."""
+    """Return the misfits, with their indices in ``k``, and the corrected (n, n) ``k``."""
     measured = np.flatnonzero(~off)
     block = np.ix_(measured, measured)
     among = np.searchsorted(measured, filled).tolist()
@@ -174,21 +173,21 @@ def _mended(
 
 
 def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> StiffnessMatrix:
-    """Return the matrix with enabled actuators that are not good disabled.
+    """Return the matrix with all actuators disabled that are not good.
 
-    ``good`` marks the (n_enabled,) that stay, ``core`` is their (n_good, n_good) stiffness in
-    states in which the others exert no force [N/m].
+    ``good`` marks (n_enabled,) actuators to keep. ``core`` is their condensed (n_good, n_good)
+    stiffness [N/m].
     """
     on = matrix.layout.enabled
-    left = on.copy()
-    left[on] = good
-    stiffness = np.zeros_like(matrix.stiffness)  # of those that are freed nothing is left
-    stiffness[np.ix_(left, left)] = core
-    return replace(matrix, layout=replace(matrix.layout, enabled=left), stiffness=stiffness)
+    kept = on.copy()
+    kept[on] = good
+    stiffness = np.zeros_like(matrix.stiffness)
+    stiffness[np.ix_(kept, kept)] = core
+    return replace(matrix, layout=replace(matrix.layout, enabled=kept), stiffness=stiffness)
 
 
 def as_calibrated(matrix: StiffnessMatrix, effects: Sequence[Finding]) -> StiffnessMatrix:
-    """Return the matrix without the actuators that a calibration left out, by its effects."""
+    """Return the matrix without the actuators that are omitted according to the effects."""
     matrix = released(matrix)
     left_out = {Code.ACTUATOR_OFF, Code.ACTUATOR_MISFIT}
     out = [i for each in effects if each.code in left_out for i in each.actuators]
@@ -206,9 +205,9 @@ def _better_as_read(
     bad: Sequence[BadActuator],
     unlike: Sequence[int],
 ) -> bool:
-    """Return whether the columns balance better if actuators are freed by rows than by columns.
+    """Return whether columns balance better with measured than with corrected rows of ``unlike``.
 
-    If freed by its row, the sensor of an actuator may read anything; if by its column, the row.
+    Row and column of these actuators differ. If the sensor is wrong, the measured row is right.
     """
     good = measured.copy()
     good[[each.index for each in bad]] = False
@@ -226,7 +225,7 @@ def _better_as_read(
 def _balanced_about(
     core: Array, a: Array, good: NDArray[np.bool_], off: NDArray[np.bool_], start: Array
 ) -> bool:
-    """Return whether columns next to those that are off balance as well as the others."""
+    """Return whether columns near actuators that are off balance as well as the others."""
     arms = a[:, good]
     own = np.abs(np.diag(core))
     size = np.linalg.norm((arms * start) @ core, axis=0) / np.where(own > 0.0, own, np.inf)
@@ -240,7 +239,7 @@ def _balanced_about(
 def _warnings(
     ids: NDArray[np.int64], off: NDArray[np.bool_], bad: Sequence[BadActuator], *, pushing: bool
 ) -> Iterator[Finding]:
-    """Yield that some were off and yet exerted force, or that many do not fit."""
+    """Yield warnings of actuators that were off but exerted force, and of many misfits."""
     if pushing:
         yield Finding.of(Code.OFF_BUT_PUSHING, actuators=ids[off])
     if len(bad) > max(3, LIMITS.misfit_fraction * len(ids)):
@@ -251,7 +250,7 @@ def _warnings(
 def _effects(
     layout: Layout, a: Array, off: NDArray[np.bool_], bad: Sequence[BadActuator]
 ) -> Iterator[Finding]:
-    """Yield which actuators were left out: one finding for each reason, with its largest size."""
+    """Yield one finding for each reason to omit actuators, with the largest size."""
     ids = layout.id[layout.enabled]
     for reason in dict.fromkeys(each.reason for each in bad):
         some = [each for each in bad if each.reason == reason]
