@@ -1,39 +1,36 @@
 """What becomes of alpha, and what is said, when a bench or a file does what the model does not.
 
     python -m studies.faults [--seeds 24] [--noise 1e-3 5e-5] [--only NAME ...] [--cycles 4]
-    python -m studies.faults --only clean --seeds 1000      how often a word is false
+    python -m studies.faults --only clean --seeds 1000      rate of false messages
     python -m studies.faults --mirror 336 --cycles 2        336 actuators on rings
     python -m studies.faults --method ml auto glass         methods on the same campaigns
-    python -m studies.faults --grades --seeds 4             do errors hold in every grade
-    python -m studies.faults --grades --only clean --seeds 50    how often 'doubtful' is false
+    python -m studies.faults --grades --seeds 4             coverage of the errors by grade
+    python -m studies.faults --grades --only clean --seeds 50    rate of false 'doubtful'
 
-The bench (`faulty`) is this benchmark's own. Alpha, noise and where a fault strikes differ from
-seed to seed. The weights are declared without error, so that what is stated is what the readings
-and their effects leave; two loads hide any error of the weights. Alpha is judged against the true
-one, the mean over the campaign where it changes; actuators that a fault disables are not judged.
-Columns: RMS error of alpha over actuators and seeds; that of the common scale, the mean over
-actuators; the stated error; how many 95 % intervals hold the truth; in how many seeds there is no
-alpha; the median probability of chi2, and in how many seeds it is below 1e-3; the share of rows
-left out; in how many seeds anything was said, in how many the right cause, in how many that was
-corrected (the right file or actuators with it); a verdict, and what is said first in most seeds:
+The bench is simulated in `faulty`. Alpha, noise and the affected files or actuators depend on the
+seed. The weights are declared without error, because two loads cannot show one; stated errors are
+statistical. Alpha is compared with its true mean over the campaign. Actuators that a fault disables
+are excluded. The columns are:
 
-    covered   90 % of the intervals or more hold the truth
-    said      they do not, but the right cause is named in 95 % of the seeds or more
-    refused   no alpha is given in 95 % of the seeds or more, whatever the reason
-    budget    nobody can see it in such data: the page and the budget say what it costs
-    SILENT    nothing of that, and in most seeds not a word
-    WRONG     nothing of that, and other words
-    FALSE     nothing is wrong, and something was said in 1 % of the seeds or more
+    error, scale, stated   rms error of alpha; of its mean over actuators; stated error
+    covers, none           95 % intervals that contain the truth; seeds without alpha
+    p(chi2), <.001, out    median probability; seeds in which it is below 1e-3; rejected rows
+    said, right, corr.     seeds with any message; with the right cause and place; corrected
+    covered                verdict: at least 90 % of the intervals contain the truth
+    said                   otherwise: the right cause is named in at least 95 % of the seeds
+    refused                no alpha in at least 95 % of the seeds, for any reason
+    budget                 undetectable in such data; the error budget states the effect
+    SILENT, WRONG          none of these, and no message in most seeds; other messages
+    FALSE                  no fault, but a message in at least 1 % of the seeds
 
-Several methods have a line each, with the seeds in which the answer is by reciprocity / those in
-which the verdict is sound; 'glass' is 'auto' with what the sensors see of the mirror, as of
-`calibrate --mirror`.
+The last column is the most frequent first message. With several methods each has its own line, with
+the number of seeds solved by reciprocity / with a sound verdict. 'glass' is 'auto' with a sensor
+model of the mirror, as in `calibrate --mirror`.
 
 `--grades` prints the grades of the verdict instead (S sound, U usable, D doubtful, R rejected, - no
-alpha), the share of the 95 % intervals that contain the truth, and the rms error in units of the
-stated one. At the end: of the faults that are usable or sound in most seeds, those whose errors do
-not hold (fewer than 90 % covered); of the campaigns in which nothing is wrong, the share that is
-doubtful or worse. Faults that no such data can show ('blind') are listed apart.
+alpha), the coverage of the 95 % intervals, and the rms ratio of error to stated error. It then
+prints the rate of fault-free campaigns that are doubtful or worse, and lists the faults that are
+usable or sound in most seeds with a coverage below 90 %, undetectable ones ('blind') separately.
 """
 
 from __future__ import annotations
@@ -60,20 +57,20 @@ from studies.faulty.fault import FAULTS, ORDERS, Fault
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
 from truenewton.mirrors.sensor_model import model_sensors
 
-# In the order of the modules that list them.
+# In the order of the modules that define them.
 SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]
 ALL = sorted(FAULTS, key=lambda fault: SECTIONS.index(fault.happens.__module__))
 
 LETTERS = {"sound": "S", "usable": "U", "doubtful": "D", "rejected": "R"}
 METHODS = ("ml", "svd", "reciprocity", "auto", "glass")
 COVERED, SAID, FALSE = 0.90, 0.95, 0.01
-IMPROBABLE = 1e-3  # of a fit
+IMPROBABLE = 1e-3  # probability of chi2
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Word:
-    """Something that is said of a campaign: what, where, and whether it was corrected."""
+class Message:
+    """An effect that a calibration reports: name, place, and whether it was corrected."""
 
     name: str
     where: str = ""
@@ -82,26 +79,26 @@ class Word:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What came of one seed.
+    """The result of one seed.
 
     Attributes
     ----------
     error, stated
-        (n,) of alpha and as stated, both relative; NaN where not judged or without alpha.
-    words, where
-        What was said; what must stand in the right word, as the actuators that are affected.
+        (n,) relative error of alpha and stated error; NaN if excluded or without alpha.
+    messages, where
+        Reported effects; places that the right message must contain, such as actuators.
     probability, rejected
-        Of chi2; share of rows left out.
+        Probability of chi2; fraction of rejected rows.
     reciprocal, sound
-        Whether the answer is by reciprocity; whether the verdict is 'sound', apart from the
-        weights without errors.
+        Whether reciprocity was used; whether the verdict is 'sound', apart from weights without
+        errors.
     grade
-        Letter of the verdict, '-' without alpha.
+        Letter of the verdict; '-' without alpha.
     """
 
     error: Array
     stated: Array
-    words: tuple[Word, ...]
+    messages: tuple[Message, ...]
     where: tuple[str, ...]
     probability: float = float("nan")
     rejected: float = float("nan")
@@ -110,8 +107,8 @@ class Trial:
     grade: str = "-"
 
 
-def happening(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -> Day:
-    """Return the day on which a fault happens."""
+def day_with_fault(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -> Day:
+    """Return the simulated campaign of a seed, with the fault."""
     day = Day(bench_of(mirror), seed, fault.noise or noise, ORDERS[fault.order](cycles))
     fault.happens(day)
     return day
@@ -119,25 +116,26 @@ def happening(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -
 
 @cache
 def motion_of(bench: Bench) -> Array:
-    """Return what the sensors of a bench see."""
+    """Return the sensor model of a bench."""
     return model_sensors(bench.glass)
 
 
 def trial(day: Day, method: str = "ml") -> Trial:
-    """Calibrate the campaign of a day and hold the answer against its truth."""
+    """Calibrate the campaign of a day and compare alpha with the truth."""
     how = {"method": method}
     if method == "glass":
         how = {"method": "auto", "motion": motion_of(day.bench)}
     try:
         answer = tn.calibrate(day.campaign(), **how)
     except TrueNewtonError as error:
-        nothing, refusal = np.full(day.n, np.nan), f"refused, {type(error).__name__}: {error.fault}"
-        return Trial(nothing, nothing, (Word(refusal),), day.where)
+        no_alpha = np.full(day.n, np.nan)
+        refusal = Message(f"refused, {type(error).__name__}: {error.fault}")
+        return Trial(no_alpha, no_alpha, (refusal,), day.where)
     judged = np.where(day.judged, 1.0, np.nan)
     return Trial(
         error=judged * (answer.alpha / day.truth - 1),
         stated=judged * answer.error / day.truth,
-        words=tuple(Word(e.name, e.where, e.corrected) for e in answer.effects),
+        messages=tuple(Message(e.name, e.where, e.corrected) for e in answer.effects),
         where=day.where,
         probability=answer.goodness.probability,
         rejected=answer.rejected / (answer.rejected + answer.shapes_used),
@@ -148,34 +146,34 @@ def trial(day: Day, method: str = "ml") -> Trial:
 
 
 def mean(values: Array) -> float:
-    """Return the mean of what is there, NaN of nothing."""
-    there = values[np.isfinite(values)]
-    return float(there.mean()) if there.size else float("nan")
+    """Return the mean of finite values, NaN if there are none."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else float("nan")
 
 
 def rms(values: Array) -> float:
-    """Return the root mean square of what is there."""
+    """Return the root mean square of finite values."""
     return float(np.sqrt(mean(values**2)))
 
 
-def commonest(words: Sequence[tuple[Word, ...]]) -> str:
-    """Return what is said in most seeds, first of all, without its numbers."""
-    first = Counter(re.sub(r"\d[\d.e+-]*", "#", some[0].name) for some in words if some)
+def commonest(messages: Sequence[tuple[Message, ...]]) -> str:
+    """Return the most frequent first message, without its numbers."""
+    first = Counter(re.sub(r"\d[\d.e+-]*", "#", some[0].name) for some in messages if some)
     if not first:
         return ""
     what, count = first.most_common(1)[0]
     return f"{count}x {what}"
 
 
-def is_right(word: Word, fault: Fault, where: tuple[str, ...]) -> bool:
-    """Tell whether a word names the cause, and where that affected."""
-    text = f"{word.name} {word.where}"
+def is_right(message: Message, fault: Fault, where: tuple[str, ...]) -> bool:
+    """Return whether a message names the cause and the affected places."""
+    text = f"{message.name} {message.where}"
     places = all(re.search(rf"\b{re.escape(place)}\b", text) for place in where)
     return bool(fault.cause and re.search(fault.cause, text, re.IGNORECASE) and places)
 
 
 def judgement(fault: Fault, covers: float, answered: float, said: float, right: float) -> str:
-    """Return a verdict, as the head of this module has them, from shares."""
+    """Return the verdict, as listed at the head of this module, from fractions."""
     if not fault.cause and not fault.blind and said >= FALSE:
         return "FALSE"
     if covers >= COVERED and answered >= SAID:
@@ -198,9 +196,9 @@ def summary(fault: Fault, trials: Sequence[Trial]) -> dict[str, float | str]:
         for name in ("probability", "rejected")
     )
     covers = mean((np.abs(error) < TWO_SIGMA * stated)[np.isfinite(error)])
-    right = [[word for word in t.words if is_right(word, fault, t.where)] for t in trials]
-    said, rightly = sum(bool(t.words) for t in trials), sum(map(bool, right))
-    shares = (answered.mean(), said / len(trials), rightly / len(trials))
+    right = [[each for each in t.messages if is_right(each, fault, t.where)] for t in trials]
+    said, rightly = sum(bool(t.messages) for t in trials), sum(map(bool, right))
+    fractions = (answered.mean(), said / len(trials), rightly / len(trials))
     return {
         "error": significant(100 * rms(error)),
         "scale": significant(100 * rms(np.array([mean(e) for e in error[answered]]))),
@@ -212,15 +210,15 @@ def summary(fault: Fault, trials: Sequence[Trial]) -> dict[str, float | str]:
         "out": 100 * mean(rejected),
         "said": said,
         "right": rightly,
-        "corr.": sum(any(w.corrected for w in words) for words in right),
-        "verdict": judgement(fault, covers, *shares),
-        "words": commonest([t.words for t in trials]),
+        "corr.": sum(any(each.corrected for each in found) for found in right),
+        "verdict": judgement(fault, covers, *fractions),
+        "words": commonest([t.messages for t in trials]),
         "sound": sum(t.sound for t in trials),
         "reciprocal": sum(t.reciprocal for t in trials),
     }
 
 
-# Head, unit and format.
+# Heading, unit and format.
 COLUMNS = (
     ("error", "%", ">9s"), ("scale", "%", ">9s"), ("stated", "%", ">9s"), ("covers", "%", "8.1f"),
     ("none", "seeds", "6d"), ("p(chi2)", "median", "9.2g"), ("<.001", "seeds", "6d"),
@@ -230,13 +228,13 @@ COLUMNS = (
 
 
 def significant(percentage: float) -> str:
-    """Return a percentage in at least two digits."""
+    """Return a percentage with at least two significant digits."""
     digits = 4 if percentage < 0.1 else 3 if percentage < 10 else 1
     return f"{percentage:.{digits}f}"
 
 
 def print_heads() -> None:
-    """Print the heads of the table and their units."""
+    """Print the headings and units of the table."""
     widths = [int(re.search(r"\d+", how)[0]) for *_, how in COLUMNS]
     for k, first in enumerate(("noise", "mN")):
         cells = (f"{column[k]:>{width}s}" for column, width in zip(COLUMNS, widths, strict=True))
@@ -251,10 +249,10 @@ def print_line(name: str, noise: float, figures: dict[str, float | str]) -> None
 
 
 def graded(seed: int, name: str, mirror: str, noise: float, cycles: int) -> tuple[str, Array]:
-    """Return the grade of a campaign, and the errors of alpha over those stated."""
+    """Return the grade of a campaign, and the errors of alpha relative to the stated errors."""
     warnings.simplefilter("ignore", TrueNewtonWarning)
     fault = next(each for each in FAULTS if each.name == name)
-    found = trial(happening(fault, mirror, seed, noise, cycles))
+    found = trial(day_with_fault(fault, mirror, seed, noise, cycles))
     ratio = found.error / found.stated
     return found.grade, ratio[np.isfinite(ratio)]
 
@@ -262,7 +260,7 @@ def graded(seed: int, name: str, mirror: str, noise: float, cycles: int) -> tupl
 def print_grades(
     chosen: Sequence[Fault], seeds: range, noises: Sequence[float], mirror: str, cycles: int
 ) -> None:
-    """Print the grades of faults, and whether the errors hold in them."""
+    """Print the grades of faults, and the coverage of their errors."""
     false, sound, wrong, blind = 0, 0, list[str](), list[str]()
     print(f"{'':52s} noise/mN  grades      covered  error/stated")
     with ProcessPoolExecutor() as pool:
@@ -304,7 +302,7 @@ def main() -> None:
     parser.add_argument("--method", nargs="+", default=["ml"], choices=METHODS)
     parser.add_argument("--grades", action="store_true", help="of the verdict")
     options = parser.parse_args()
-    warnings.simplefilter("ignore", TrueNewtonWarning)  # what is said is counted instead
+    warnings.simplefilter("ignore", TrueNewtonWarning)  # messages are counted instead
     chosen = [f for f in ALL if not options.only or f.name.startswith(tuple(options.only))]
     seeds = range(options.first, options.first + options.seeds)
     if options.grades:
@@ -317,7 +315,7 @@ def main() -> None:
         for noise in options.noise if fault.noise is None else [fault.noise]:
             trials: dict[str, list[Trial]] = {method: [] for method in options.method}
             for seed in seeds:
-                day = happening(fault, options.mirror, seed, noise, options.cycles)
+                day = day_with_fault(fault, options.mirror, seed, noise, options.cycles)
                 for method, found in trials.items():
                     found.append(trial(day, method))
             for method, found in trials.items():

@@ -1,4 +1,4 @@
-"""The house: what stands where, and that the pages which tell of it are true."""
+"""The structure of the package, and whether the pages that describe it are correct."""
 
 import ast
 import importlib
@@ -23,74 +23,74 @@ SHAPE_OR_UNIT = re.compile(r"\((?!paper)[\w .+*/-]+(?:,[\w .+*/-]*)+\)|\[[^\]\n]
 def test_the_docstring_of_a_package_lists_its_modules(package):
     text = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8")))
     listed = set(re.findall(r"^ *(\w+)/? {2,}\S", text, re.MULTILINE))
-    there = {path.stem for path in package.glob("*.py")} - {"__init__"}
-    there |= {path.parent.name for path in package.glob("*/__init__.py")}
-    assert listed >= there
-    assert {name for name in listed - there if not name.startswith(("eq", "sec"))} == set()
+    present = {path.stem for path in package.glob("*.py")} - {"__init__"}
+    present |= {path.parent.name for path in package.glob("*/__init__.py")}
+    assert listed >= present
+    assert {name for name in listed - present if not name.startswith(("eq", "sec"))} == set()
 
 
-def test_the_picture_shows_the_contract():
-    rooms = {room for level in house.layers() for room in level}
+def test_the_picture_agrees_with_the_import_contract():
+    drawn = {package for layer in house.layers() for package in layer}
     packages = {path.name for path in PACKAGES[1:] if path.parent == house.SOURCE}
-    assert rooms == packages | {path.stem for path in house.SOURCE.glob("[!_]*.py")}
+    assert drawn == packages | {path.stem for path in house.SOURCE.glob("[!_]*.py")}
     assert house.PICTURE.read_text(encoding="utf-8") == house.picture()
 
 
-def test_the_page_of_constants_gives_a_reason_for_each():
+def test_every_constant_on_the_page_has_an_explanation():
     rows = [line for line in constants.tables().splitlines() if line.startswith("| [")]
     assert len(rows) > 50
     assert [row for row in rows if row.endswith("|  |")] == []
 
 
-def test_modules_and_functions_stay_below_the_limits_of_size():
-    assert house.module_sizes()[0][0] <= house.MOST_LINES
-    assert house.function_sizes()[0][0] <= house.LONGEST_FUNCTION
+def test_modules_and_functions_are_within_the_size_limits():
+    assert house.module_sizes()[0][0] <= house.MAX_MODULE_LINES
+    assert house.function_sizes()[0][0] <= house.MAX_FUNCTION_LINES
     complexities = house.complexities()
     assert len(complexities) > 1000
-    assert complexities[0][0] <= house.MOST_COMPLEX
+    assert complexities[0][0] <= house.MAX_COMPLEXITY
 
 
-def outermost(tree):
+def top_level(tree):
     """Return the functions of a module and the methods of its classes."""
     classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
     inside = [node for part in (tree, *classes) for node in part.body]
     return [node for node in inside if isinstance(node, ast.FunctionDef)]
 
 
-def test_docstrings_of_arrays_give_shapes_or_units():
-    bare = []
+def test_docstrings_state_shapes_or_units_of_arrays():
+    missing = []
     for path in house.modules():
-        for function in outermost(ast.parse(path.read_text(encoding="utf-8"))):
+        for function in top_level(ast.parse(path.read_text(encoding="utf-8"))):
             if function.name.startswith("_") or "@overload" in ast.unparse(function):
                 continue
             types = ast.unparse(function.args) + ast.unparse(function.returns or ast.Constant(None))
             text = ast.get_docstring(function) or ""
             if re.search(r"Array\b|NDArray|ArrayLike", types) and not SHAPE_OR_UNIT.search(text):
-                bare.append(f"{path.relative_to(house.SOURCE)}: {function.name}")
-    assert bare == []
+                missing.append(f"{path.relative_to(house.SOURCE)}: {function.name}")
+    assert missing == []
 
 
 def glossary():
-    """Return the names in the code of the glossary's table in docs/glossary.md."""
+    """Return the names of code in the table of docs/glossary.md."""
     text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8").split("## Symbols")[1]
     rows = [line for line in text.split("\n## ")[0].splitlines() if line.startswith("|")][2:]
     return [name for row in rows for name in re.findall(r"`([\w.]+)`", row.split("|")[3])]
 
 
 def exists(name):
-    """Tell whether a module, a name in it, an attribute or a parameter of that exists."""
+    """Return whether a module, a name in it, or an attribute or field of that name exists."""
     parts = name.split(".")
     for k in range(len(parts), 0, -1):
         try:
-            thing = importlib.import_module(".".join(["truenewton", *parts[:k]]))
+            value = importlib.import_module(".".join(["truenewton", *parts[:k]]))
         except ModuleNotFoundError:
             continue
         for part in parts[k:]:
-            if is_dataclass(thing) and part in {field.name for field in fields(thing)}:
+            if is_dataclass(value) and part in {field.name for field in fields(value)}:
                 return part == parts[-1]
-            if not hasattr(thing, part):
+            if not hasattr(value, part):
                 return False
-            thing = getattr(thing, part)
+            value = getattr(value, part)
         return True
     return False
 
@@ -106,7 +106,7 @@ def test_every_name_in_the_glossary_exists():
     ("folder", "command"),
     [("benchmarks", r"`python benchmarks/(\w+)\.py"), ("studies", r"`python -m studies\.(\w+)")],
 )
-def test_every_study_and_benchmark_is_evidence(folder, command):
+def test_the_evidence_page_lists_every_study_and_benchmark(folder, command):
     page = (ROOT / "docs" / "evidence.md").read_text(encoding="utf-8")
     files = (ROOT / folder).glob("*.py")
     run = {path.stem for path in files if "__main__" in path.read_text(encoding="utf-8")}

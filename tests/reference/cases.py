@@ -18,7 +18,7 @@ import truenewton as tn
 from helpers.balanced import gradients, three_loads
 from helpers.segmented import in_one, pieces
 from helpers.tracked import MEAN_K, campaign_at, days_of, pattern
-from studies.faults import happening
+from studies.faults import day_with_fault
 from studies.faulty.fault import FAULTS
 from studies.matrices import FAULTS as MATRIX_FAULTS
 from studies.matrices import LAWS, measured_or_made, noisy, true_stiffness, with_faults
@@ -165,7 +165,7 @@ def segments() -> tn.Parts[tn.Calibration]:
 QUICK = {"clean", "all alphas drift 0.3 %/h", "two far cables swapped", "a dead actuator"}
 for _fault in FAULTS:
     case(f"fault, {_fault.name}", fast=_fault.name in QUICK)(
-        lambda fault=_fault: happening(fault, "p45", 0, 1e-4, 3).campaign()
+        lambda fault=_fault: day_with_fault(fault, "p45", 0, 1e-4, 3).campaign()
     )
 
 
