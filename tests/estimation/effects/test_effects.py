@@ -1,4 +1,4 @@
-"""Effects: their derivatives against differences, their tests against chance, what they cure."""
+"""Effects: derivatives by finite differences, significance of their tests, and corrections."""
 
 import datetime
 from dataclasses import replace
@@ -39,9 +39,9 @@ SIGMA = 1e-3
 NAMES = [ENTRIES[effect.code].name for effect in CATALOGUE]
 THREE = (0, 1, 0, 1, 2, 2, 0)
 OF = dict(zip(NAMES, CATALOGUE, strict=True))
-# What nobody looks for where no actuator stands out.
+# Tested only if an actuator is an outlier.
 SINGLE = {"gain of single actuators by file"}
-STRUCK = np.array([3, 9])
+AFFECTED = np.array([3, 9])
 
 
 def fit_of(campaign, *, pooled=None):
@@ -58,9 +58,9 @@ def fit_of(campaign, *, pooled=None):
 
 @cache
 def uneven(pooled):
-    """Return a fit to a campaign of three loads, with some rows missing, one of a file's noisier.
+    """Return a fit to a campaign of three loads with missing rows and one noisier file.
 
-    Far enough from its truth that no sum vanishes.
+    It is far enough from the truth that no sum vanishes.
     """
     bench = SmallBench(1, SIGMA, order=THREE)
     bench.gain = 1 + 2e-3 * bench.hours[:, None]
@@ -75,18 +75,18 @@ def uneven(pooled):
 
 
 def affected(fit, name):
-    """Return a fit where two actuators are taken to stand out, if the effect asks for some."""
-    return replace(fit, affected=STRUCK) if name in SINGLE else fit
+    """Return a fit in which two actuators are outliers, if the effect requires outliers."""
+    return replace(fit, affected=AFFECTED) if name in SINGLE else fit
 
 
 def balance(fit, problem, moments):
-    """Return half of chi^2 of the balance at the unknowns of the fit."""
+    """Return half of the chi^2 of the balance at the unknowns of the fit."""
     at = FittedRows(problem, moments, fit.minimum, fit.independent)
     return 0.5 * float(at.white_rho @ at.white_rho)
 
 
 def structure(fit, moments):
-    """Return half of chi^2 of the rows against what pooled rows say of them."""
+    """Return half of the chi^2 of rows relative to their pooled means."""
     pooling = moments.pooling
     apart = moments.mean - pooling.groups(pooling.rows(moments.mean))
     return 0.5 * float(
@@ -95,9 +95,9 @@ def structure(fit, moments):
 
 
 def steps(fit, name, function):
-    """Return first and second differences of a function of data that each parameter is taken from.
+    """Return first and second differences of a function of data, by each parameter removed.
 
-    Of a sum of squares they are exact, whatever the step: a tenth of what would be seen.
+    They are exact for a sum of squares. The step is a tenth of a standard error.
     """
     derivative = OF[name].derivative(affected(fit, name))
     result = scored(fit, derivative)
@@ -124,21 +124,21 @@ def test_score_and_information_are_derivatives_of_chi2(name, pooled):
     unit = 1.0 / np.sqrt(result.whole)
     assert (result.score - derivative.score) * unit == pytest.approx(of_balance * unit, abs=2e-4)
     *_, of_structure, spread = steps(fit, name, lambda _, moments: structure(fit, moments))
-    told = np.broadcast_to(derivative.score, len(unit))
-    assert told * unit == pytest.approx(of_structure * unit, abs=1e-4)
-    # Of positions the noise of fitted rows takes a little.
+    expected = np.broadcast_to(derivative.score, len(unit))
+    assert expected * unit == pytest.approx(of_structure * unit, abs=1e-4)
+    # For positions, the noise of fitted rows reduces it slightly.
     tolerance = 1e-2 if name == "positions" else 1e-3
     assert (more + spread) * unit**2 == pytest.approx(1.0, abs=tolerance)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_alpha_moves_as_told_if_an_effect_is_taken_out(name):
-    """B: fitted again, without a little of each parameter; at a small noise, so that D is none."""
+def test_the_predicted_shift_of_alpha_is_that_of_a_new_fit(name):
+    """Refit after removing a small amount of each parameter; with little noise D is negligible."""
     fit = affected(fit_of(SmallBench(2, 1e-5, order=THREE).campaign()), name)
     derivative = OF[name].derivative(fit)
     result = scored(fit, derivative)
     count = len(result.score)
-    # By the standard errors of both.
+    # In units of the standard errors.
     information = mirrored(fit.minimum.information[: fit.free, : fit.free])
     scale = 1.0 / np.sqrt(np.diag(information))
     for k in {0, count // 2, count - 1}:
@@ -151,16 +151,16 @@ def test_alpha_moves_as_told_if_an_effect_is_taken_out(name):
             problem, moments = derivative.remove(fit.problem, fit.moments, theta)
             values.append(problem.fitted(moments, fit.minimum.values).values[: fit.free])
         moved = (values[0] - values[1]) / (2 * step)
-        told = -result.moves[k] / scale
-        assert moved / scale == pytest.approx(told, abs=2e-3 * np.abs(told).max() + 1e-3 * unit)
+        shift = -result.moves[k] / scale
+        assert moved / scale == pytest.approx(shift, abs=2e-3 * np.abs(shift).max() + 1e-3 * unit)
 
 
 @pytest.mark.study
 @pytest.mark.parametrize(("name", "pooled"), [("gain by hour of each", False), ("positions", True)])
-def test_the_score_that_noise_alone_makes_is_as_computed(name, pooled):
-    """D_te: how the score of an effect changes with alpha, at the truth, over drawn noises.
+def test_the_spurious_score_of_noise_is_as_computed(name, pooled):
+    """D_te: the derivative of the score with respect to alpha, at the truth, over drawn noise.
 
-    Its mean is M_te - D_te; of M_te alone it would be off by many standard errors.
+    Its mean is M_te - D_te; M_te alone would differ by many standard errors.
     """
     order, step = (0, 1, 1, 1, 1), 1e-4
     quiet = fit_of(SmallBench(30, 1e-7, order=order).campaign(), pooled=pooled)
@@ -196,7 +196,7 @@ def test_the_score_that_noise_alone_makes_is_as_computed(name, pooled):
 
 @pytest.mark.parametrize("pooled", [True, False])
 @pytest.mark.parametrize("name", [name for name in NAMES if "each" in name or name == "positions"])
-def test_a_score_varies_no_less_than_its_cheap_bound(name, pooled):
+def test_the_cheap_bound_does_not_exceed_the_variance_of_a_score(name, pooled):
     for fit in (uneven(pooled), fit_of(SmallBench(8, 3e-2).campaign(), pooled=pooled)):
         derivative = OF[name].derivative(fit)
         score, whole, variance = variance_at_least(fit, derivative)
@@ -229,8 +229,8 @@ IN_BLOCKS = (0, 0, 0, 0, 1, 1, 1, 1)
         ),
     ],
 )
-def test_clean_campaigns_score_as_chance_says(count, noise, order, error):
-    """p uniform, within four standard errors."""
+def test_p_values_of_clean_campaigns_are_uniform(count, noise, order, error):
+    """The tolerance is four standard errors."""
     p = {name: [] for name in NAMES}
     for seed in range(count):
         campaign = SmallBench([seed, 5], noise, order=order).campaign()
@@ -241,17 +241,17 @@ def test_clean_campaigns_score_as_chance_says(count, noise, order, error):
             assert name in SINGLE or len(order) == 2 or max(order) == 1
             continue
         assert np.mean(found) == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / count)), name
-        share = np.mean(np.less(found, 0.05))
-        assert share <= 0.05 + 4 * np.sqrt(0.05 * 0.95 / count), name
+        significant = np.mean(np.less(found, 0.05))
+        assert significant <= 0.05 + 4 * np.sqrt(0.05 * 0.95 / count), name
         if count >= 200:
-            assert share >= 0.005, name
+            assert significant >= 0.005, name
             assert np.mean(np.less(found, 0.001)) <= 0.01, name
     every = np.concatenate(list(p.values()))
     assert np.mean(every) == pytest.approx(0.5, abs=0.06)
     assert 0.02 < np.mean(every < 0.05) < 0.09
 
 
-def test_the_chance_of_a_chi2_is_told_however_small():
+def test_tiny_probabilities_of_chi2_are_finite_and_correct():
     for chi2, freedom in ((3.0, 1.0), (80.0, 20.0)):
         exact = scipy.stats.chi2.logsf(chi2, freedom)
         assert log_chance(chi2, freedom) == pytest.approx(exact)
@@ -262,10 +262,10 @@ def test_the_chance_of_a_chi2_is_told_however_small():
 
 
 @pytest.mark.parametrize("drift", [0.0, 2e-2])
-def test_the_same_is_named_as_by_whole_tests(drift):
-    """Effects that are passed over by the bound would not be named, by themselves either.
+def test_bounded_tests_find_the_same_effects_as_exact_ones(drift):
+    """Effects that are skipped by the bound would not be significant in an exact test.
 
-    On 40 actuators, since of few parameters the whole of V is asked always.
+    With 40 actuators, because V is always computed exactly for few parameters.
     """
     campaign, _ = campaign_of(1, 1e-3, layout=rings([0.05, 0.1, 0.15], [8, 13, 19]))
     each = 1 + np.outer(np.arange(4.0), drift * np.random.default_rng(3).standard_normal(40))
@@ -289,21 +289,21 @@ def test_the_same_is_named_as_by_whole_tests(drift):
 
 
 @pytest.mark.study
-def test_one_clean_campaign_in_a_hundred_is_accused_at_most():
+def test_false_positive_rate_of_effects_is_low():
     said = sum(bool(calibrate(SmallBench([k, 6], SIGMA).campaign()).effects) for k in range(40))
     assert said <= 2
 
 
-# ------------------------------------------------------------------------------ each named, cured
+# ------------------------------------------------------------------------------ found, corrected
 
 
 def in_order(bench, files):
-    """Return what each file has in the order of the campaign's cycles: by load, then in time."""
+    """Return values of files in the order of the campaign's cycles: by load, then in time."""
     return np.asarray(files)[np.argsort(bench.order, kind="stable")]
 
 
 def balanced_files(bench, spread):
-    """Return one number a file, of that spread, whose sum and trend under each load are nothing."""
+    """Return a number for each file, with this rms and with zero mean under each load."""
     drawn = bench.random.standard_normal(len(bench.order))
     for load in set(bench.order.tolist()):
         under = bench.order == load
@@ -320,13 +320,13 @@ def drawn(bench, size):
 
 
 def drift(bench, what, size):
-    """Let gains or zeros drift, all alike or each by its own (n,) size an hour."""
+    """Let gains or zeros drift per hour, by one size or by (n,) sizes."""
     setattr(bench, what, (what == "gain") + np.outer(middle(bench), size))
     return np.atleast_1d(size)
 
 
 def differ(bench, what, spread, whose):
-    """Let gains or zeros differ by file: of all alike, or of each actuator in a list."""
+    """Let gains or zeros differ by file, in common or for each actuator in a list."""
     files = np.array([balanced_files(bench, spread) for _ in whose or [0]]).T
     changes = np.zeros((len(files), 14))
     changes[:, whose or slice(None)] = files
@@ -341,7 +341,7 @@ def gain_by_load(bench):
 
 def weight_of_load(bench):
     bench.external = bench.external + np.outer(bench.load == 1, [0.05, 0.0, 0.0])
-    return  # of three weights none but one direction
+    return  # the three weights are determined in one direction only
 
 
 def coil_law(bench, power, size):
@@ -402,13 +402,13 @@ CASES = {
     "contact in one sign by load": contact_by_load,
     "positions": positions,
 }
-SEEDS = {"positions": 2}  # the two before are off by 2.3 sigma, all of it common scale
-UNTOLD = {"weight of a load"}  # named, but left to the user
+SEEDS = {"positions": 2}  # seeds 0 and 1 deviate by 2.3 sigma, in the common scale only
+UNCORRECTED = {"weight of a load"}  # reported, but not corrected
 ORDERS = {"weight of a load": (0, 0, 0, 1, 1, 1, 2, 2, 2)}
 
 
 def bench_with(name, seed, noise=SIGMA):
-    """Return a bench on which an effect of the catalogue happens, and its parameters."""
+    """Return a bench with an effect of the catalogue, and its parameters."""
     bench = SmallBench([seed, 8], noise, order=ORDERS.get(name, IN_TURN))
     return bench, CASES[name](bench)
 
@@ -419,17 +419,17 @@ def truth_of(bench):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_effect_is_named_estimated_and_alpha_right_after_it(name):
+def test_an_effect_is_identified_estimated_and_corrected(name):
     z, distances = [], []
     for seed in range(3):
         bench, theta = bench_with(name, SEEDS.get(name, 0) + seed)
         found = calibrate(bench.campaign())
         assert (found.effects[0].name, found.effects[0].unit) == (name, OF[name].unit)
         assert found.effects[0].probability < 1e-4
-        assert all(effect.corrected == (name not in UNTOLD) for effect in found.effects)
+        assert all(effect.corrected == (name not in UNCORRECTED) for effect in found.effects)
         assert found.rejected == 0
         z.append((found.alpha - truth_of(bench)) / found.error)
-        if name not in UNTOLD:
+        if name not in UNCORRECTED:
             corrected = correction(fit_of(bench.campaign(), pooled=True), OF[name])
             apart = corrected.theta - np.array(theta)
             distances.append(apart @ np.linalg.solve(corrected.covariance, apart) / len(apart))
@@ -437,7 +437,7 @@ def test_an_effect_is_named_estimated_and_alpha_right_after_it(name):
             assert np.linalg.norm(apart) < largest
     assert np.mean(np.abs(z) < 2.58) > 0.9
     assert np.sqrt(np.mean(np.square(z))) < 1.6
-    assert name in UNTOLD or 0.05 < np.mean(distances) < 2.5
+    assert name in UNCORRECTED or 0.05 < np.mean(distances) < 2.5
 
 
 @pytest.mark.parametrize(
@@ -449,7 +449,7 @@ def test_an_effect_is_named_estimated_and_alpha_right_after_it(name):
         ("contact in one sign by load", lambda *_: "load 1"),
     ],
 )
-def test_where_an_effect_is_largest_stands_beside_its_name(name, where):
+def test_the_place_of_the_largest_effect_is_reported(name, where):
     bench, theta = bench_with(name, 1, noise=2e-4)
     effect = calibrate(bench.campaign()).effects[0]
     assert effect.where == where(bench, int(np.abs(theta).argmax()))
@@ -457,7 +457,7 @@ def test_where_an_effect_is_largest_stands_beside_its_name(name, where):
         assert abs(effect.size) == pytest.approx(np.abs(theta).max(), rel=0.3)
 
 
-def test_the_second_effect_of_two_is_found_as_well():
+def test_two_simultaneous_effects_are_found():
     for seed in range(3):
         bench, _ = bench_with("gain by hour", seed)
         contact(bench)
@@ -467,8 +467,8 @@ def test_the_second_effect_of_two_is_found_as_well():
         assert rms_z(found, truth_of(bench)) < 2.5
 
 
-def test_an_effect_that_the_data_are_blind_to_is_not_tested():
-    """The weight of a load under two loads; positions never; gradients without POSITION."""
+def test_an_effect_that_the_data_cannot_show_is_not_tested():
+    """The weight of one of two loads; gradients without POSITION; contact with one sign only."""
     bench = SmallBench(9, SIGMA)
     bench.has_position = False
     tested = {ENTRIES[test.effect.code].name for test in effect_tests(fit_of(bench.campaign()))}
@@ -478,7 +478,7 @@ def test_an_effect_that_the_data_are_blind_to_is_not_tested():
     assert not any("contact" in name for name in tested)
 
 
-# -------------------------------------------------------------------------- what no data can show
+# -------------------------------------------------------------------------- undetectable effects
 
 
 def support(bench):
@@ -486,7 +486,7 @@ def support(bench):
 
 
 def other_gains(bench):
-    """Of the shapes' own forces alone, which the bench keeps apart from those at rest."""
+    """Change the gains of elastic forces only, and not of forces at rest."""
     each = 1 + 0.01 * bench.random.standard_normal(14)
     elastic = bench.sign[:, None] * bench.elastic[bench.shape - 1]
     bench.zero = elastic / bench.alpha * (1 / each - 1)
@@ -499,7 +499,7 @@ def other_gains(bench):
         (other_gains, "coil gains differ by 1 % between static and elastic forces", 0.6),
     ],
 )
-def test_what_no_data_show_moves_the_scale_as_stated(change, name, tolerance):
+def test_undetectable_effects_shift_the_scale_as_stated(change, name, tolerance):
     ratio = []
     for seed in range(6):
         bench = SmallBench([seed, 12], 1e-5)
@@ -515,22 +515,22 @@ WARM = "the bias magnets are 1 K warmer under one load"
 
 
 def warmer(bench, kelvins=1.0):
-    """Let the magnets on the glass lose .11 % a kelvin under the load, and the others as much."""
+    """Let all magnets lose 0.11 %/K under the load; the bias force, of two magnets, twice that."""
     bench.gain = 1 - 1.1e-3 * kelvins * (bench.load == 1)[:, None]
     bench.external = bench.external - np.outer(bench.load == 1, [2.2e-3 * kelvins * BIAS, 0, 0])
 
 
-def test_magnets_warmer_under_a_load_move_the_scale_as_stated():
-    bench, alike = SmallBench([1, 13], 1e-4), SmallBench([1, 13], 1e-4)
+def test_warmer_magnets_under_a_load_shift_the_scale_as_stated():
+    bench, unchanged = SmallBench([1, 13], 1e-4), SmallBench([1, 13], 1e-4)
     warmer(bench)
     found, truth = calibrate(bench.campaign()), truth_of(bench)
     assert [(effect.name, effect.corrected) for effect in found.effects] == [("gain by load", True)]
     off = np.mean(found.alpha / truth) - 1
-    of_one = {error.name: error.relative for error in calibrate(alike.campaign()).unseen}
+    of_one = {error.name: error.relative for error in calibrate(unchanged.campaign()).unseen}
     assert abs(off) == pytest.approx(of_one[WARM], rel=0.05)
-    # E_STAT has it, since coils have told of the warmth.
+    # E_STAT includes the shift, because the coil gains show the temperature change.
     assert found.error / truth == pytest.approx(abs(off), rel=0.1)
-    recorded = changed(alike.campaign(), temperature=np.full(28, 20.0))
+    recorded = changed(unchanged.campaign(), temperature=np.full(28, 20.0))
     names = {error.name for error in calibrate(recorded).unseen}
     assert names == of_one.keys() - {WARM}
 
@@ -538,8 +538,8 @@ def test_magnets_warmer_under_a_load_move_the_scale_as_stated():
 # ------------------------------------------------------------------------------ forces, and noise
 
 
-def test_a_force_that_does_not_turn_with_the_displacement_is_named_with_its_actuator():
-    """Positions would fit it in part, which does harm: they are not taken out."""
+def test_an_unknown_force_is_reported_with_its_actuator():
+    """Position errors would explain a part of it; correcting them would bias alpha."""
     bench, actuator, size = SmallBench([1, 10], SIGMA), 5, 5e-3
     way = np.sign(bench.z[:, actuator]) * (1 + 0.5 * np.sin(3 * bench.shape))
     bench.external = bench.external - np.outer(size * way, bench.arms[:, actuator])
@@ -547,7 +547,7 @@ def test_a_force_that_does_not_turn_with_the_displacement_is_named_with_its_actu
     force = found.effects[-1]
     assert (force.name, force.where) == ("unknown force", f"actuator {actuator + 1}")
     assert not any(effect.corrected for effect in found.effects)
-    # At one row of weight 1: that of a shape is the mean of 16 rows.
+    # The size refers to one row of weight 1; a shape is the mean of 16 rows.
     assert force.size == pytest.approx(size * np.sqrt(16), rel=0.5)
     assert rms_z(found, bench.alpha) < 2
     assert found.error.mean() > calibrate(SmallBench([1, 10], SIGMA).campaign()).error.mean()
@@ -558,7 +558,7 @@ def test_a_force_that_does_not_turn_with_the_displacement_is_named_with_its_actu
     )
 
 
-def test_no_force_is_seen_on_clean_campaigns():
+def test_no_unknown_force_is_found_in_clean_campaigns():
     assert not any(unknown_force(fit_of(SmallBench([k, 11], SIGMA).campaign())) for k in range(10))
 
 
@@ -579,11 +579,10 @@ def shared_in_rows(bench):
     ("change", "expected"),
     [(correlated, {"correlated noise", "zero by file of each"}), (shared_in_rows, set())],
 )
-def test_noise_that_is_not_independent_is_covered(change, expected):
-    """If rows hang together, shapes balance too well: named, some as noise shared within a row.
+def test_stated_errors_cover_correlated_noise(change, expected):
+    """Correlated rows are reported. Noise shared within a row is no effect.
 
-    What all readings of a row share is no effect: of a file it leaves a zero that is common, but no
-    larger than that noise makes.
+    Its mean over a file is a common zero offset, but no larger than the noise explains.
     """
     z = []
     for seed in range(10):
@@ -597,8 +596,8 @@ def test_noise_that_is_not_independent_is_covered(change, expected):
     assert np.sqrt(np.mean(np.square(z))) < 1.5
 
 
-def test_an_effect_named_but_not_corrected_adds_its_shift_to_the_error():
-    """A weight that is wrong, under three loads: E_STAT is no hundred times what alpha is off."""
+def test_an_uncorrected_effect_adds_its_shift_to_the_error():
+    """A wrong weight of three: E_STAT is less than five times the error of alpha."""
     bench, _ = bench_with("weight of a load", 1, noise=1e-4)
     found = calibrate(bench.campaign())
     assert found.goodness.probability < LIMITS.fit_probability
@@ -609,7 +608,7 @@ def test_an_effect_named_but_not_corrected_adds_its_shift_to_the_error():
 
 
 def leaning_campaign(shift, *, declared=False, **left_out):
-    """Return a campaign whose mirror leans, its coils with it; and its alpha."""
+    """Return a campaign whose coils shift when the mirror is tilted, and its alpha."""
     tilted = Load("tilted", tilt=60.0, coil_shift=shift)
     bench = static_bench(p45(), 1, loads=(Load("bare"), tilted))
     campaign, known = exact_weights(bench), {} if declared else {"coil_shift": None}
@@ -618,8 +617,8 @@ def leaning_campaign(shift, *, declared=False, **left_out):
 
 
 @pytest.mark.parametrize("declared", [True, False])
-def test_coils_that_move_as_the_mirror_leans_leave_the_scale(declared):
-    """By 10 um: gains change by 0.6 %, bias magnets by 14 mN of 1.5 N that the tilt takes."""
+def test_coils_that_shift_with_tilt_do_not_change_the_scale(declared):
+    """A shift of 10 um changes gains by 0.6 %, and the bias force by 14 mN (1.5 N by the tilt)."""
     campaign, alpha = leaning_campaign(10e-6, declared=declared)
     found = calibrate(campaign)
     assert rms_error(found, alpha) < 5e-4
@@ -629,7 +628,7 @@ def test_coils_that_move_as_the_mirror_leans_leave_the_scale(declared):
     assert "the coils move by 5 um when the mirror is tilted" not in {e.name for e in found.unseen}
 
 
-def test_without_position_coils_that_may_have_moved_are_undetectable_unless_declared():
+def test_undeclared_coil_shifts_are_undetectable_without_position():
     def unseen(**options):
         campaign, _ = leaning_campaign(0.0, position=None, **options)
         return {e.name: e.relative for e in calibrate(campaign).unseen}
@@ -645,7 +644,7 @@ def test_without_position_coils_that_may_have_moved_are_undetectable_unless_decl
 
 @cache
 def p45_with_gradients():
-    """Return four cycles a load of P45, whose gradients nobody declares, and its alpha."""
+    """Return four cycles per load of P45 with undeclared gradients, and its alpha."""
     bench = static_bench(p45(), 1, force_noise=1e-5)
     campaign = changed(exact_weights(bench), coil_gradient=None, bias_gradient=None)
     return campaign, bench.truth.alpha
@@ -656,20 +655,20 @@ def rms_error(found, alpha):
 
 
 @pytest.mark.parametrize("position", [True, False])
-def test_undeclared_gradients_lose_no_rows_and_less_than_a_fiftieth_of_a_per_cent(position):
-    """Without POSITION nothing tells what is wrong: yet shapes that agree are no outliers."""
+def test_undeclared_gradients_reject_no_rows_and_hardly_change_alpha(position):
+    """Without POSITION the cause is unknown, but shapes that agree are not outliers."""
     campaign, alpha = p45_with_gradients()
     found = calibrate(campaign if position else changed(campaign, position=None))
     assert found.rejected == 0
     assert rms_error(found, alpha) < 2e-4
     for name, size in (("coil gradient", 600), ("bias gradient", 31)):
-        told = sum(e.size for e in found.effects if e.name == name and e.corrected)
-        assert told == pytest.approx(size * position, rel=0.05)
+        corrected = sum(e.size for e in found.effects if e.name == name and e.corrected)
+        assert corrected == pytest.approx(size * position, rel=0.05)
     assert position or not any(effect.corrected for effect in found.effects)
     assert np.mean(np.abs(found.alpha - alpha) < 1.96 * found.statistical_error) > 0.85
 
 
-def test_spikes_are_outliers_still_where_gradients_disturb():
+def test_spikes_are_rejected_in_spite_of_undeclared_gradients():
     campaign, alpha = p45_with_gradients()
     random, places = np.random.default_rng(3), set()
     for _ in range(20):
@@ -681,8 +680,8 @@ def test_spikes_are_outliers_still_where_gradients_disturb():
     assert rms_error(found, alpha) < 2e-4
 
 
-def test_noise_with_long_tails_loses_few_rows():
-    """Readings by a Student of three degrees: few rows go, not one in each group."""
+def test_few_rows_are_rejected_if_the_noise_has_long_tails():
+    """The noise follows Student's t distribution with three degrees of freedom."""
     bench = SmallBench(17, SIGMA)
     tails = scipy.stats.t.rvs(3, size=bench.error.shape, random_state=bench.random)
     bench.error = SIGMA * tails / np.sqrt(3)
@@ -691,11 +690,11 @@ def test_noise_with_long_tails_loses_few_rows():
     assert rms_z(found, bench.alpha) < 2
 
 
-# --------------------------------------------------------------------------------- less than usual
+# --------------------------------------------------------------------------------- missing data
 
 
-def test_files_of_the_same_time_have_hours_all_the_same():
-    """DATE-OBS may be that of the folder: rows of a file still come one after the other."""
+def test_equal_dates_of_files_cause_no_effect():
+    """DATE-OBS may be that of the folder. The times of rows within a file are then still used."""
     bench = SmallBench(20, SIGMA)
     date = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
     campaign = changed(bench.campaign(), date=date)

@@ -19,14 +19,14 @@ from truenewton.statics.arms import comparable_arms
 
 
 def cleaned(k, rigid):
-    """Return (n, n) k less what (n, 3) rigid motions it holds on both sides, and in forces only."""
+    """Return (n, n) k without (n, 3) rigid-body modes on both sides, and of forces only."""
     rigid = np.linalg.qr(rigid)[0]
     forces = k - rigid @ (rigid.T @ k)
     return forces - (forces @ rigid) @ rigid.T, forces
 
 
 def written(k, digits):
-    """Return (n, n) k as a file of so many significant digits holds it."""
+    """Return (n, n) k rounded to significant digits."""
     return np.array([[float(f"{each:.{digits}g}") for each in row] for row in k])
 
 
@@ -50,8 +50,8 @@ def rigid_motions(of):
 
 
 @pytest.mark.parametrize("way", CLEANED_WAYS)
-def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
-    """It balances with alpha = 1, and truth is 0.7 .. 1.1, and nobody is told to transpose it."""
+def test_a_matrix_without_rigid_body_modes_is_recognised(way):
+    """It balances with alpha = 1 (truth: 0.7 .. 1.1). The remedy is not to transpose it."""
     matrix, _ = p45_matrix()
     k = CLEANED_WAYS[way](matrix.stiffness, rigid_motions(matrix.layout))
     balanced = replace(matrix, stiffness=k)
@@ -66,8 +66,8 @@ def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
 
 @pytest.mark.parametrize("digits", [None, 3e4, 3, 5])
 @pytest.mark.parametrize("noise", [1e-6, 1e-3])
-def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
-    """Electronics into which alpha is loaded: what its noise leaves out of balance is measured."""
+def test_calibrated_forces_are_not_mistaken_for_cleaned_forces(noise, digits):
+    """Alpha has been loaded into the electronics. The remaining imbalance is that of noise."""
     truth, random = p45_bench().truth, np.random.default_rng(3)
     right = 1.0 + 3e-4 * random.standard_normal(45)
     k = truth.stiffness * (1.0 + noise * random.standard_normal((45, 45))) / right[:, None]
@@ -76,8 +76,8 @@ def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
     assert not [*balance_effects(MatrixFacts(k, comparable_arms(truth.layout)))]
 
 
-def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_they_are():
-    """Rigid motions taken out of readings leave forces as they were measured."""
+def test_a_matrix_with_cleaned_displacements_still_determines_alpha():
+    """Removing rigid-body motions from readings does not change forces. Transposed, it is found."""
     matrix, _ = p45_matrix()
     k = cleaned(matrix.stiffness.T, rigid_motions(matrix.layout))[1].T
     assert screen_matrix(replace(matrix, stiffness=k)).effects == ()
@@ -85,8 +85,8 @@ def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_th
     assert effect.code == Code.TRANSPOSED_STIFFNESS
 
 
-def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
-    """One made symmetric, of alpha that scatter by 1.5 %: balance leaves others than 1."""
+def test_modes_of_a_true_stiffness_use_alpha_1():
+    """Alpha scatters by 1.5 % in a symmetrised matrix, so that the balance alone gives others."""
     truth = p45_bench().truth
     k = truth.stiffness / (1.0 + 0.015 * np.random.default_rng(6).standard_normal(45))[:, None]
     k = 0.5 * (k + k.T)
@@ -101,7 +101,7 @@ def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
     assert found.imbalance[0] == found.imbalance[1]
 
 
-def test_every_command_says_what_was_done_to_it(inside, tmp_path):
+def test_every_command_reports_a_cleaned_matrix(inside, tmp_path):
     matrix, _ = p45_matrix()
     rigid, svd = rigid_motions(matrix.layout), ("--method", "svd")
     k = cleaned(matrix.stiffness, rigid)[1]
@@ -127,8 +127,8 @@ def test_every_command_says_what_was_done_to_it(inside, tmp_path):
 
 
 @pytest.mark.parametrize(("error", "gross"), [(0.34, True), (0.004, False)])
-def test_reciprocity_that_makes_no_sense_beside_a_sure_balance_limits_alpha(error, gross):
-    """34 % beside 2e-6 %: so it was of a cleaned matrix; 0.4 % leave annuli without the glass."""
+def test_implausible_errors_of_reciprocity_indicate_a_cleaned_matrix(error, gross):
+    """34 %, and 2e-6 % by balance: a cleaned matrix. 0.4 % is normal for unmodelled annuli."""
     evidence = Evidence(as_stated=1e6, error=error, error_by_balance=2e-8)
     [said] = instead(tuple(refusals(evidence)))
     assert (said.code == "reciprocity-not-used") is not gross

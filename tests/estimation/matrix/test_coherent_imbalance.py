@@ -34,7 +34,7 @@ def sound():
 
 
 def test_patterns_are_the_derivatives_of_the_imbalance(p45):
-    """A ring wider by 1 um, and a diagonal 1e-6 larger, against the balance itself."""
+    """Compare with differences of the balance, for a ring 1 um wider and a diagonal 1e-6 larger."""
     exact, *_ = p45
     arms = comparable_arms(exact.layout)
     q = np.linalg.qr(arms.T)[0]
@@ -55,8 +55,8 @@ def test_patterns_are_the_derivatives_of_the_imbalance(p45):
     np.testing.assert_allclose(q.T @ np.diag(np.diag(m)), diagonal.imbalance, atol=1e-12)
 
 
-def test_the_shift_of_alpha_is_what_the_mistake_did_to_it(p45):
-    """A ring 1 mm wider in an exact matrix: all of the imbalance, and alpha back to the truth."""
+def test_the_predicted_shift_is_the_error_of_alpha(p45):
+    """For a ring 1 mm wider, the pattern explains all imbalance; the shift restores the truth."""
     exact, *_ = p45
     layout, radius = exact.layout, np.hypot(exact.layout.x, exact.layout.y)
     middle = np.abs(radius - np.unique(np.round(radius, 3))[1]) < 5e-3
@@ -66,9 +66,9 @@ def test_the_shift_of_alpha_is_what_the_mistake_did_to_it(p45):
     pattern = coherent_imbalance(wrong.stiffness, comparable_arms(wrong.layout), found.alpha)
     assert pattern.names[0] == "the radius of ring 2"
     assert pattern.share > 0.95
-    left = np.log(found.alpha) + pattern.shift
+    remaining = np.log(found.alpha) + pattern.shift
     assert np.std(np.log(found.alpha)) > 0.02
-    assert np.std(left) < 0.05 * np.std(np.log(found.alpha))
+    assert np.std(remaining) < 0.05 * np.std(np.log(found.alpha))
 
 
 WRONG = {  # matrices whose stated errors would not be valid
@@ -90,7 +90,7 @@ SLOW = [
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.study] * (n in SLOW)) for n in WRONG]
 )
-def test_a_mistake_that_the_errors_do_not_cover_is_doubtful_or_rejected(p45, name):
+def test_a_mistake_not_covered_by_the_errors_is_doubtful_or_rejected(p45, name):
     code, method = WRONG[name]
     found = tn.calibrate(dict(mistakes(p45[1]))[name], method)
     assert found.verdict.level <= Level.DOUBTFUL
@@ -107,7 +107,7 @@ def test_sound_matrices_are_not_doubtful(sound, method):
     assert min(levels.values()) >= Level.USABLE, levels
 
 
-def test_symmetry_and_negative_modes_are_those_of_the_matrix(p45):
+def test_symmetry_and_negative_modes_agree_with_construction(p45):
     exact, matrix, alpha = p45
     k, ones = np.asarray(exact.stiffness), np.ones(45)
     assert symmetry_of(MatrixFacts(k, np.ones((3, len(k)))), ones).asymmetry == pytest.approx(
@@ -127,8 +127,8 @@ def test_symmetry_and_negative_modes_are_those_of_the_matrix(p45):
 
 
 @pytest.mark.parametrize("method", ["svd", pytest.param("ml", marks=pytest.mark.study)])
-def test_an_element_that_is_wrong_by_20_percent_is_named_by_its_column(sound, method):
-    """Also with sensors off their magnets, where no symmetry of pairs shows it."""
+def test_an_element_that_is_wrong_by_20_percent_is_found(sound, method):
+    """Sensors are off their magnets, so that the symmetry of pairs does not reveal it."""
     matrix, alpha = sound["annular, 0.3 mm off"]
     k, random = np.array(matrix.stiffness), np.random.default_rng(1)
     coupled = (np.abs(k) > 0.02 * np.median(np.diag(k))) & ~np.eye(45, dtype=bool)

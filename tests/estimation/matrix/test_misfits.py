@@ -1,4 +1,4 @@
-"""Actuators of a stiffness matrix that are off or do not fit are named and left out."""
+"""Actuators of a stiffness matrix that are off or do not fit are reported and excluded."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ BAD = 20
 
 
 def measured(change):
-    """Return the matrix of P45 with 1e-4 noise, one thing changed; and alpha."""
+    """Return the matrix of P45 with a relative noise of 1e-4 and one change, and its alpha."""
     matrix, alpha = p45_matrix()
     x, y, k = matrix.layout.x, matrix.layout.y, np.array(matrix.stiffness)
     change(k, np.argsort(np.hypot(x - x[BAD], y - y[BAD]))[1])
@@ -36,59 +36,59 @@ def measured(change):
 
 
 def sign(k, _):
-    """The poles of one actuator are exchanged."""
+    """Exchange the poles of one actuator."""
     k[BAD] *= -1.0
 
 
 def sensor_sign(k, _):
-    """A sensor reads down where it is up: its column is right but for the sign."""
+    """Reverse a sensor: its column is right except for the sign."""
     k[:, BAD] *= -1.0
 
 
 def times_ten(k, _):
-    """The unit of one row."""
+    """Change the unit of one row."""
     k[BAD] *= 10.0
 
 
 def own_element(k, _):
-    """One element on the diagonal."""
+    """Change one diagonal element."""
     k[BAD, BAD] *= 1.2
 
 
 def sensor_gain(k, _):
-    """A sensor reads half of what it should: its column is right but for a factor."""
+    """Halve the gain of a sensor: its column is right except for a factor."""
     k[:, BAD] *= 2.0
 
 
 def sensor_noise(k, _):
-    """A sensor reads a quarter, and what it likes: nothing of its column can be used."""
+    """Give a sensor a quarter of its gain, and 30 % noise: its column is useless."""
     k[:, BAD] *= 4.0 * (1.0 + 0.3 * np.random.default_rng(8).standard_normal(len(k)))
 
 
 def rows(k, other):
-    """Rows of neighbours."""
+    """Exchange the rows of neighbours."""
     k[[BAD, other]] = k[[other, BAD]]
 
 
 def off(k, _):
-    """An actuator that was off while the others were measured."""
+    """Switch an actuator off while the others are measured."""
     good = np.arange(len(k)) != BAD
     k[np.ix_(good, good)] = condensed(k, good)[0]
     k[BAD] = k[:, BAD] = 0.0
 
 
 def element(k, other):
-    """An element so large that rows seem exchanged."""
+    """Make one element so large that rows seem exchanged."""
     k[BAD, other] *= 100.0
 
 
 def rows_lost(k, _):
-    """Three rows were not stored."""
+    """Lose three rows."""
     k[[3, 9, BAD]] = 0.0
 
 
 def four_signs(k, _):
-    """The poles of four neighbours are exchanged."""
+    """Exchange the poles of four neighbours."""
     k[30:34] *= -1.0
 
 
@@ -109,7 +109,7 @@ def four_signs(k, _):
         (four_signs, "wrong sign", [30, 31, 32, 33]),
     ],
 )
-def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, said, where):
+def test_misfits_are_excluded_and_the_others_calibrated(method, change, said, where):
     matrix, alpha = measured(change)
     calibration = calibrate(matrix, method)
     out = ~calibration.layout.enabled
@@ -122,7 +122,7 @@ def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, s
 
 
 def check_errors(calibration, alpha, out):
-    """Check that alpha of those that are not out is within its errors."""
+    """Check alpha of the other actuators against its errors."""
     z = (calibration.alpha - alpha / alpha[~out].mean())[~out] / calibration.error[~out]
     assert np.sqrt(np.mean(z**2)) < 1.6
 
@@ -135,14 +135,16 @@ def check_errors(calibration, alpha, out):
         pytest.param(23, (-0.03, 0.1), marks=pytest.mark.study),
     ],
 )
-def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(at, off):
-    """X and Y in another unit, or of another mirror: the innermost of 24, another, the last."""
+def test_a_misplaced_actuator_is_excluded_and_the_others_calibrated(at, off):
+    """Declared X and Y are wrong, for the innermost of 24 actuators, a middle one and the last."""
     truth, random = static_bench(ring(24), 3).truth, np.random.default_rng(at)
     k = truth.stiffness / truth.alpha[:, None]
     k = k * (1.0 + 1e-3 * random.standard_normal(k.shape))
     here = np.arange(24) == at
-    said = replace(truth.layout, x=truth.layout.x + here * off[0], y=truth.layout.y + here * off[1])
-    found = calibrate(StiffnessMatrix("R24", START, said, k), "ml")
+    declared = replace(
+        truth.layout, x=truth.layout.x + here * off[0], y=truth.layout.y + here * off[1]
+    )
+    found = calibrate(StiffnessMatrix("R24", START, declared, k), "ml")
     assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [at]
     fault, remedy = found.verdict.faults[0].fault, found.verdict.faults[0].remedy
     assert (
@@ -152,8 +154,8 @@ def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(a
     check_errors(found, truth.alpha, here)
 
 
-def test_a_matrix_made_symmetric_is_not_to_be_used():
-    """Half of what tells alpha from gains of sensors is gone: 7 % wrong, 3 % stated."""
+def test_a_symmetrised_matrix_is_rejected():
+    """It does not separate alpha from sensor gains: the error is 7 %, and 3 % would be stated."""
     matrix, _ = p45_matrix()
     made = replace(matrix, stiffness=0.5 * (matrix.stiffness + matrix.stiffness.T))
     with pytest.warns(TrueNewtonWarning, match="STIFFNESS is symmetric"):
@@ -170,8 +172,8 @@ def test_a_matrix_made_symmetric_is_not_to_be_used():
 
 
 @pytest.mark.study
-def test_noise_alone_does_not_make_alpha_harmful():
-    """With 600 N/m soft modes are all noise, and balance as badly with any alpha."""
+def test_noise_alone_does_not_make_alpha_worse_than_no_calibration():
+    """With a noise of 600 N/m, soft modes contain only noise: no alpha balances them."""
     truth = p45_bench().truth
     clean = truth.stiffness / truth.alpha[:, None]
     for seed in (1, 2, 6, 8):
@@ -182,7 +184,7 @@ def test_noise_alone_does_not_make_alpha_harmful():
         assert calibration.verdict.level != "rejected"
 
 
-def test_a_matrix_in_another_order_is_refused():
+def test_a_matrix_with_rows_in_the_wrong_order_is_refused():
     matrix, _ = p45_matrix()
     turned = np.roll(matrix.stiffness, 7, axis=0)
     with pytest.raises(RankDeficient, match="do not fit the others"):
@@ -190,7 +192,7 @@ def test_a_matrix_in_another_order_is_refused():
 
 
 def displaced(order):
-    """Return the sound matrix with the coordinates of other actuators."""
+    """Return a sound matrix with the coordinates of other actuators."""
     matrix, _ = p45_matrix()
     x, y = matrix.layout.x[order], matrix.layout.y[order]
     return replace(matrix, layout=replace(matrix.layout, x=x, y=y))
@@ -212,14 +214,14 @@ RINGS = np.split(EVERY, [9, 24])
         (np.random.default_rng(1).permutation(45), "STIFFNESS"),
     ],
 )
-def test_coordinates_in_another_order_than_the_matrix_are_told(order, said):
+def test_the_wrong_order_of_coordinates_is_identified(order, said):
     effect = screen_matrix(displaced(order)).effects[-1]
     assert effect.name.startswith("coordinates in another order than STIFFNESS")
     assert said in effect.name
     assert not effect.corrected
 
 
-def test_coordinates_in_another_order_are_not_to_be_used():
+def test_coordinates_in_the_wrong_order_are_rejected():
     with pytest.warns(TrueNewtonWarning, match="rejected"):
         calibration = calibrate(displaced(np.roll(EVERY, 1)), "svd")
     assert calibration.verdict.level == "rejected"
@@ -228,8 +230,8 @@ def test_coordinates_in_another_order_are_not_to_be_used():
         calibrate(displaced(EVERY[::-1]))
 
 
-def test_neither_gains_nor_a_mirrored_table_are_another_order():
-    """Sensors that scatter by 5 %; and coordinates seen from the other side."""
+def test_gains_and_mirrored_coordinates_are_not_a_wrong_order():
+    """Sensor gains scatter by 5 %; coordinates are seen from the other side."""
     matrix, _ = p45_matrix()
     gains = 1.0 + 0.05 * np.random.default_rng(2).standard_normal(45)
     assert screen_matrix(replace(matrix, stiffness=matrix.stiffness * gains)).effects == ()
@@ -240,7 +242,7 @@ def test_neither_gains_nor_a_mirrored_table_are_another_order():
     )
 
 
-def test_one_that_is_zero_but_pushed_is_left_out_and_the_others_are_known():
+def test_an_actuator_with_zero_elements_that_exerted_force_is_excluded():
     def zero(k, _):
         k[BAD] = k[:, BAD] = 0.0
 
@@ -253,7 +255,7 @@ def test_one_that_is_zero_but_pushed_is_left_out_and_the_others_are_known():
     check_errors(calibration, alpha, out)
 
 
-def test_sensors_that_read_nothing_are_named_and_the_columns_left_give_alpha():
+def test_alpha_is_estimated_without_the_columns_of_dead_sensors():
     def silent(k, _):
         k[:, [3, 9, BAD]] = 0.0
 
@@ -268,7 +270,7 @@ def test_sensors_that_read_nothing_are_named_and_the_columns_left_give_alpha():
     assert np.sqrt(np.mean(z**2)) < 1.6
 
 
-def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
+def test_a_sector_of_wrong_sensor_gains_is_found_without_false_positives():
     layout, stiffness = mmt336().layout, static_bench(mmt336(), 1).truth.stiffness
     random, n = np.random.default_rng(1), layout.n
     k = 0.5 * (stiffness + stiffness.T) / random.normal(1.0, 0.05, n)[:, None]
@@ -281,7 +283,7 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
     assert "its sensor gain is an outlier" in effect.name
 
 
-def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
+def test_negative_alpha_of_the_balance_does_not_break_reciprocity():
     matrix, _ = p45_matrix()
     screened = screen_matrix(matrix)
     base = matrix_modes.fit_balance(screened, column_fit)
@@ -290,7 +292,7 @@ def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
     assert np.isfinite(found.values).all()
 
 
-def test_a_row_of_nothing_but_rounding_gives_no_alpha():
+def test_a_row_of_rounding_errors_determines_no_alpha():
     k, layout = p45_bench().truth.stiffness.copy(), p45_bench().truth.layout
     k[BAD] *= 1e-9
     modes = MatrixFacts(k, comparable_arms(layout)).elastic_modes.forces.T
@@ -298,8 +300,8 @@ def test_a_row_of_nothing_but_rounding_gives_no_alpha():
         likeliest(modes, comparable_arms(layout))
 
 
-def test_most_own_stiffnesses_may_be_zero():
-    """No division by zero in what judges a matrix; one that does not yield cannot be left free."""
+def test_most_diagonal_elements_may_be_zero():
+    """Nothing divides by zero; a sensor without diagonal element is not a free sensor."""
     k = p45_bench().truth.stiffness.copy()
     lost = np.arange(33)
     k[lost, lost] = 0.0
@@ -309,8 +311,8 @@ def test_most_own_stiffnesses_may_be_zero():
     assert not np.isin(odd_actuators(k), lost).any()
 
 
-def test_sensors_off_their_magnets_are_no_wrong_gains_but_a_wrong_gain_among_them_is():
-    """Half a millimetre times the slope reads as much as a gain of 10 % in the first of them."""
+def test_a_wrong_gain_is_found_among_sensors_off_their_magnets():
+    """At 0.5 mm from its magnet, the first sensor reads slopes as a gain error of 10 %."""
     bench, random = p45_bench(), np.random.default_rng([0, 11])
     values = drawn(random, bench.mirror.layout.n, offset=5e-4)
     k = with_noise(random, by_glass(bench.glass, values), values).stiffness

@@ -1,4 +1,4 @@
-"""Relative alpha from a stiffness matrix: made by hand, and measured on a real mirror."""
+"""Relative alpha from simulated stiffness matrices, and from one of a real mirror."""
 
 import os
 from dataclasses import replace
@@ -46,8 +46,8 @@ def test_noiseless_stiffness_gives_alpha_up_to_its_mean_and_no_imbalance(method)
 
 @pytest.mark.study
 @pytest.mark.parametrize("method", ["svd", "ml"])
-def test_stated_error_is_that_of_fifty_or_on_the_safe_side(method):
-    """Equal noise in all elements: the soft modes carry more of it, the columns the same."""
+def test_the_stated_error_is_the_scatter_of_fifty_matrices_or_larger(method):
+    """All elements have equal noise: relative to stiffness, soft modes have more, columns equal."""
     truth = p45_bench().truth
     clean = truth.stiffness / truth.alpha[:, None]
     alphas, stated = [], []
@@ -70,7 +70,7 @@ def test_stated_error_is_that_of_fifty_or_on_the_safe_side(method):
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "N/mm"), (1e-6, "N/um"), (3e5, "counts")])
-def test_alpha_does_not_ask_for_the_unit_of_the_matrix(factor, unit):
+def test_alpha_does_not_depend_on_the_unit_of_the_matrix(factor, unit):
     matrix, _ = p45_matrix()
     other = replace(matrix, stiffness=factor * matrix.stiffness)
     calibration, before = calibrate(other, "svd"), calibrate(matrix, "svd")
@@ -94,8 +94,8 @@ def test_a_matrix_of_low_rank_or_of_noise_is_refused():
         calibrate(replace(matrix, stiffness=noise))
 
 
-def test_a_transposed_matrix_is_not_to_be_used():
-    """Its alpha is that of the sensors: 10 % from the truth, stated to be known to .05 %."""
+def test_a_transposed_matrix_is_rejected():
+    """Its alpha is that of the sensors: wrong by 10 %, with a stated error of 0.05 %."""
     matrix, _ = p45_matrix(0.0)
     assert screen_matrix(matrix).effects == ()
     turned = replace(matrix, stiffness=matrix.stiffness.T)
@@ -107,8 +107,8 @@ def test_a_transposed_matrix_is_not_to_be_used():
     assert made.verdict.level == "rejected"
 
 
-def test_what_costs_as_much_as_gains_of_sensors_only_looks_transposed():
-    """Where alpha is put right already, sensors scatter more, and nothing is wrong."""
+def test_a_rigid_body_residual_that_gains_explain_is_only_a_warning():
+    """If forces are already calibrated, sensor gains scatter more than alpha. This is no fault."""
     noisy, truth = p45_matrix()
     gains = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(len(truth))
     right = replace(noisy, stiffness=truth[:, None] * noisy.stiffness * gains)
@@ -145,11 +145,10 @@ def test_on_a_real_lbt672_alpha_restores_balance():
 
 @pytest.mark.study
 @needs_real_data
-def test_on_a_real_lbt672_a_population_foretells_the_modes_it_has_not_seen():
-    """Alpha agrees with the magnets' efficiency, which was measured apart.
+def test_on_a_real_lbt672_a_population_prior_predicts_held_out_modes():
+    """Alpha agrees with the independently measured efficiency of the magnets.
 
-    A population shrinks what differs from neighbour to neighbour, the more the less of alpha's
-    spread is smooth: its correlation is a little less.
+    The population prior shrinks differences between neighbours, which lowers the correlation.
     """
     folder = Path(REAL) / "lbt672"
     matrix = read_data(folder / "lbt672-feedforward.fits")
