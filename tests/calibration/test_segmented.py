@@ -303,7 +303,7 @@ def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path
     code, said, wrong = inside(*words)
     assert (code, wrong) == (0, "")
     (line,) = [line for line in said.splitlines() if "no modes" in line]
-    negative = "rejected: alpha is negative for all 18 actuators; check whether LOAD and ADDED"
+    negative = "rejected: alpha is negative for all 18 actuators; check order and sign of the rows"
     assert line.startswith(f"segment 2: no modes: {bad} gives no alpha: {negative}")
     assert line.endswith(REGARDLESS)
     assert "no modes" not in inside(*words, "--anyway")[1]

@@ -281,6 +281,21 @@ def test_alpha_that_worsens_the_balance_is_the_first_finding():
         tn.Code.HARMFUL_ALPHA,
         tn.Code.ERROR_TOO_LARGE,
     ]
+    assert "rows and columns of STIFFNESS" in verdict.faults[1].remedy
+    turned = replace(doubtful, alpha=np.where(np.arange(45) < 9, -made.alpha, made.alpha))
+    of = {each.code: each.remedy for each in turned.verdict.faults}
+    assert "rows and columns of STIFFNESS" in of[tn.Code.MANY_NEGATIVE]
+
+
+def test_of_a_matrix_no_remedy_is_about_shapes():
+    truth = p45_bench().truth
+    k = truth.stiffness / truth.alpha[:, None]
+    k = np.roll(k * (1 + 1e-4 * np.random.default_rng(1).standard_normal(k.shape)), 1, axis=0)
+    with pytest.warns(TrueNewtonWarning, match="rejected"):
+        found = tn.calibrate(StiffnessMatrix("P45", START, truth.layout, k), "ml")
+    of = {each.code: each.remedy for each in found.verdict.faults}
+    assert of[tn.Code.HALVES_INSUFFICIENT] == "measure a less noisy matrix"
+    assert not [each for each in of.values() if "shapes" in each]
 
 
 def test_positions_beyond_the_gap_are_in_another_unit():

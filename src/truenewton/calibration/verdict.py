@@ -44,6 +44,10 @@ from truenewton.statics.arms import effective_weight
 REGARDLESS = (
     "to use it regardless, for a diagnosis only: --anyway (in Python: accept_rejected=True)"
 )
+MATRIX_REMEDY = (
+    "check order and sign of the rows and columns of STIFFNESS. If they are correct, measure the"
+    " stiffness with less noise"
+)
 
 
 @verdict_of.register(Calibration)
@@ -167,8 +171,13 @@ def _rejecting(c: Calibration) -> Iterator[Finding]:
         yield from _graver(c, set(Concern))
     if negative > few and not (unit and unit.code is Code.NO_LOAD_SEEN):
         code = Code.ALL_NEGATIVE if negative == alpha.size else Code.MANY_NEGATIVE
-        yield Finding.of(code, count=negative, n=alpha.size)
+        yield Finding.of(code, count=negative, n=alpha.size, remedy=_of_matrix(c))
     yield from senseless
+
+
+def _of_matrix(c: Calibration) -> str:
+    """Return the remedy of a senseless alpha of a matrix; '' of cycles, as in the catalogue."""
+    return MATRIX_REMEDY if c.scale == Scale.MEAN_ONE else ""
 
 
 def _misfits(c: Calibration) -> bool:
@@ -186,7 +195,7 @@ def _senseless(c: Calibration) -> Iterator[Finding]:
         similar = similar_loads(weights_along_axis(c)) if weighed else None
         if similar:
             yield replace(similar, graded=Level.REJECTED)
-        yield Finding.of(Code.ERROR_TOO_LARGE, error=error)
+        yield Finding.of(Code.ERROR_TOO_LARGE, error=error, remedy=_of_matrix(c))
     if c.goodness is not None and c.goodness.reduced > LIMITS.reduced_chi2:
         yield Finding.of(Code.MISFIT_SENSELESS, factor=np.sqrt(c.goodness.reduced))
 

@@ -247,7 +247,7 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> M
         try:
             terms = _terms(a, data, values)
         except np.linalg.LinAlgError:  # alpha ran away along a pattern that nothing holds
-            raise _no_more_than_noise() from None
+            raise _no_more_than_noise(prior, a.shape[1]) from None
         pull = prior.pull(values)
         step, decrement, factor = _step(terms, prior, terms.gradient + pull)
         # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.
@@ -261,7 +261,7 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> M
         del terms, factor  # the next ones need their room
     raise NotConverged(
         f"the likelihood has not settled after {iteration} steps",
-        remedy="look at `truenewton info`: outliers, or shapes below the noise",
+        remedy="look at `truenewton info`: outliers, or forces below the noise",
     )
 
 
@@ -303,7 +303,7 @@ def _step(terms: _Terms, prior: Prior, gradient: Array) -> tuple[Array, float, A
         m = terms.noise_information.taken_from(prior.added_to(terms.h[:free, :free].copy()), -1.0)
         used, failed_too = dpotrf(m, lower=True, clean=False, overwrite_a=True)
         if failed_too:
-            raise _no_more_than_noise()
+            raise _no_more_than_noise(prior, len(terms.noise_information.diagonal))
     step = np.zeros_like(gradient)
     step[:free] = scipy.linalg.cho_solve((used, True), gradient[:free], check_finite=False)
     return step, float(gradient @ step), None if failed else factor
@@ -321,7 +321,7 @@ def _minimum(
     """
     n, t = len(terms.noise_information.diagonal), len(values) - prior.measured
     if factor is None or np.abs(values[:n]).max() > 1e6:  # where weights count for nothing
-        raise _no_more_than_noise()
+        raise _no_more_than_noise(prior, n)
     inverse = inverse_of_factor(factor[:t, :t])
     # Those of H equal those of M, because D is on alpha alone.
     m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
@@ -388,14 +388,16 @@ def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
         try:
             values[:free] = scipy.linalg.solve(inner, right, assume_a="sym")
         except (scipy.linalg.LinAlgWarning, np.linalg.LinAlgError):
-            raise _no_more_than_noise() from None
+            raise _no_more_than_noise(prior, n) from None
     return values
 
 
-def _no_more_than_noise() -> RankDeficient:
+def _no_more_than_noise(prior: Prior, n: int) -> RankDeficient:
+    """Return the refusal of data of n actuators; a matrix has no unknowns beside alpha."""
+    remedy = "apply more shapes, larger or more often, or add a stiffness matrix"
     return RankDeficient(
         "the data contain no more than noise along some pattern of alpha",
-        remedy="apply more shapes, larger or more often, or add a stiffness matrix",
+        remedy=remedy if len(prior.mean) > n else "measure a less noisy matrix",
     )
 
 
