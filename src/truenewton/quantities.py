@@ -84,13 +84,12 @@ def convert_quantities(record: object) -> None:
     Raises
     ------
     FormatError
-        A unit does not convert.
+        As of `in_units`.
     """
     kinds = {field.name: str(field.type) for field in fields(record)}  # type: ignore[arg-type]
-    for name, quantity in type(record).QUANTITIES.items():  # type: ignore[attr-defined]
-        given = getattr(record, name)
-        value = in_unit(given, quantity.unit, name, quantity.of_mass)
-        if value is not given:
+    quantities = type(record).QUANTITIES  # type: ignore[attr-defined]
+    for name, value in in_units(vars(record), quantities).items():
+        if value is not getattr(record, name):
             if np.ndim(value) == 1 and "tuple" in kinds[name]:
                 value = tuple(value.tolist())
             object.__setattr__(record, name, value)
@@ -111,6 +110,38 @@ def check_quantities(record: object, inside: str = "") -> None:
         for field in fields(record):
             if is_dataclass(value := getattr(record, field.name)):
                 check_quantities(value, f"{inside}{field.name}.")
+
+
+def in_units(given: Mapping[str, Any], quantities: Mapping[str, Quantity]) -> dict[str, Any]:
+    """Return the values of these quantities, by name, as plain numbers in their units.
+
+    Raises
+    ------
+    FormatError
+        A unit does not convert, or a weight is a mass and its error has no unit.
+    """
+    made = {}
+    for name, quantity in quantities.items():
+        value = given[name]
+        made[name] = in_unit(value, quantity.unit, name, quantity.of_mass)
+        if quantity.of_mass and _is_mass(value):
+            of_it = f"{name}_error"
+            error = given.get(of_it)
+            if not isinstance(error, str) and unit_of(error) is None and error:
+                raise FormatError(  # it may be in the unit of the mass
+                    f"{of_it} is {error:g} without a unit, but {name} is a mass",
+                    remedy=f"give {of_it} a unit, such as '{error:g} g'",
+                )
+    return made
+
+
+def _is_mass(value: Any) -> bool:
+    """Return whether a value that `in_unit` converts is a mass."""
+    if not isinstance(value, str) and unit_of(value) is None:
+        return False
+    import astropy.units as u
+
+    return bool(u.Quantity(value).unit.is_equivalent(u.kg))
 
 
 def in_unit(value: Any, unit: str, name: str, of_mass: float = 0.0, has: Any = None) -> Any:

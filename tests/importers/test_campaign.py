@@ -114,8 +114,13 @@ def test_centimetres_for_millimetres_are_doubted_and_options_of_a_matrix_refused
     assert "only a matrix is imported with POSITIONS and --transpose; give " in error
 
 
-def test_an_error_without_the_unit_of_its_weight_is_doubted(tmp_path, inside):
-    path = written(tmp_path, "csv", {"weight = -2": 'weight = "298 g"  # -2', '"0.5 g"  ': "0.5  "})
+def test_an_error_without_the_unit_of_its_weight_is_refused_or_doubted(tmp_path, inside):
+    bare = {'"0.5 g"  ': "0.5  "}
+    path = written(tmp_path, "csv", {"weight = -2": 'weight = "298 g"  # -2', **bare})
+    code, _, error = inside("import", path)
+    assert code == 2
+    assert "campaign.toml: weight_error is 0.5 without a unit, but weight is a mass; give" in error
+    path = written(tmp_path, "csv", bare)
     code, out, _ = inside("import", path, "-o", tmp_path / "made")
     assert code == 0
     assert "UNLIKELY  the error of the weight is 17 % of it: check its unit (N, if it has" in out

@@ -98,6 +98,16 @@ def test_weights_may_be_masses_and_have_a_sign():
     for added in (0.289, -45 * u.g):
         with pytest.raises(FormatError, match=r"ADDED is 0\.\d+ N; z points up"):
             tn.Load("ring", added)
+    # A bare error is in N only if the weight is a force, or the error 0.
+    assert tn.Load("ring", -0.3, 0.2).added_error == 0.2
+    assert tn.Load("ring", "-0.3 N", 0.2).added_error == 0.2
+    assert tn.Load("ring", "30 g", 0.0).added_error == 0.0
+    for added in ("30 g", 30 * u.g):
+        with pytest.raises(FormatError, match=r"'ring': added_error is 0.2 without .*'0\.2 g'"):
+            tn.Load("ring", added, 0.2)
+    with pytest.raises(FormatError, match=r"weight_error is 0\.5 without a unit, but weight is a"):
+        tn.Campaign.from_arrays("TEST", xy, "300 g", 0.5, {load: LOADS[RING]},
+                                enabled=LAYOUT.enabled)  # fmt: skip
 
 
 def long_table():

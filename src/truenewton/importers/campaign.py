@@ -23,7 +23,7 @@ from truenewton.importers.selection import (
     there_is,
 )
 from truenewton.importers.stored import Item, Stored, read_stored
-from truenewton.quantities import in_unit
+from truenewton.quantities import in_unit, in_units
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.tables import (
@@ -119,10 +119,7 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
     actuators, notes = _layout_from(folder, described.positions)
     with naming(path):
         loads = [_load_of(one) for one in described.loads]
-        weight, error = (
-            in_unit(getattr(described, name), quantity.unit, name, quantity.of_mass)
-            for name, quantity in MIRROR_WEIGHT.items()
-        )
+        weight, error = in_units(vars(described), MIRROR_WEIGHT).values()
         more: dict[str, Any] = {name: getattr(described, name) for name in OPTIONAL}
     runs: dict[Load, list[dict[str, Any]]] = {}
     lines = [

@@ -75,7 +75,8 @@ class Load:
     Raises
     ------
     FormatError
-        A number is out of its range, such as a positive added weight.
+        A number is out of its range, such as a positive added weight, or its unit does not convert.
+        The added weight is a mass, and its error has no unit.
 
     Examples
     --------
@@ -107,8 +108,8 @@ class Load:
     coil_shift_error: float | None = None
 
     def __post_init__(self) -> None:
-        convert_quantities(self)
         try:
+            convert_quantities(self)
             check_quantities(self)
         except FormatError as error:
             raise error.changed(fault=f"load '{self.name}': {error.fault}") from None
