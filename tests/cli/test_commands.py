@@ -76,6 +76,7 @@ def test_default_output_is_short_and_no_line_is_over_100_columns(inside, p45_fol
                   ("recalibrate", folder, "--known", alpha, "--actuators", "3", "-v")):  # fmt: skip
         out += inside(*words)[1]
     assert [line for line in out.splitlines() if len(line) > 100] == []
+    assert "a calibration, method ml, common scale from the weights\n" in out
 
 
 def test_info_says_what_files_hold_and_what_they_lack(inside, p45_folder):

@@ -577,6 +577,7 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     readme = (tmp_path / "20261122_101500" / "README.txt").read_text()
     assert readme.startswith("\n".join(told))
     assert "verdict on alpha: doubtful: " in readme
+    assert "common scale of alpha: not measured (mean alpha is 1)" in readme
     assert all(f"{name}.fits" in readme for name in new)
     assert "was MULTIPLIED by alpha" in readme
     assert f"load the measured matrix ({TRACK})" in " ".join(readme.split())

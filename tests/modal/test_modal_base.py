@@ -195,6 +195,7 @@ def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
     assert told["bases"][0]["modes_within"] == number
     np.testing.assert_allclose(told["bases"][0]["residual"], found.after.costs[0].residual)
     said = summary.lines(found, Budget(power=0.05))
+    assert said[0].endswith("(alpha: method ml, common scale from the weights)")
     assert any(f"stiffness             {number} of 45" in line for line in said)
     code, out, err = inside(*asked)
     assert code == 2

@@ -36,7 +36,7 @@ from truenewton.errors import (
     TooManyOutliers,
 )
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.findings.estimate import Diagnosis, RejectedRow
+from truenewton.estimation.findings.estimate import Diagnosis, RejectedRow, Scale
 from truenewton.estimation.findings.finding import Verdict, as_sentences, judged, no_alpha
 from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.matrix.screen import screen_matrix
@@ -66,7 +66,8 @@ def survey(
     if isinstance(data, Calibration | Parts):
         holds, what = "segmented calibration", "a calibration of several segments"
         if isinstance(data, Calibration):
-            holds, what = "calibration", f"a calibration, method {data.method}, scale {data.scale}"
+            scale = f"common scale {Scale(data.scale).origin}"
+            holds, what = "calibration", f"a calibration, method {data.method}, {scale}"
         return {"holds": holds, **summary_values(data)}, [what, *summary_lines(data)]
     if isinstance(data, SegmentedData):
         return _survey_segments(data, method, population, motion)

@@ -113,7 +113,7 @@ def export_supervisor(
         f"{folder}: {len(channels)} channels, each row of the matrix multiplied by alpha of"
         f" {calibration.instrument}, {np.nanmin(alpha):.3f} .. {np.nanmax(alpha):.3f}",
         f"  verdict on alpha: {verdict}",
-        f"  scale of alpha: {calibration.scale}",
+        f"  common scale of alpha: {Scale(calibration.scale).origin}",
         f"  forces are {newtons}: load alpha into the electronics together with these files",
         f"  track number {track}; of the measured matrix: {old}",
     )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.summary import warning_lines
+from truenewton.estimation.findings.estimate import Scale
 from truenewton.files.values import Values
 from truenewton.modal.findings import ModalFindings, ModesComparison
 from truenewton.modal.measured_stiffness import MeasuredStiffness
@@ -127,8 +128,8 @@ def headline(findings: ModalFindings) -> str:
     base, c = findings.after, findings.calibration
     count = base.modes.stiffness.size
     return (
-        f"{base.matrix.instrument}: {count} stiffness modes (alpha: method {c.method}, scale:"
-        f" {c.scale})"
+        f"{base.matrix.instrument}: {count} stiffness modes (alpha: method {c.method}, common"
+        f" scale {Scale(c.scale).origin})"
     )
 
 

@@ -155,6 +155,15 @@ class Scale(StrEnum):
     GIVEN = "given"  # by an earlier calibration
     MEAN_ONE = "mean 1"  # it is not determined: alpha is relative
 
+    @property
+    def origin(self) -> str:
+        """Where the common scale is from, in a sentence."""
+        return {
+            Scale.WEIGHTS: "from the weights",
+            Scale.GIVEN: "from the earlier calibration",
+            Scale.MEAN_ONE: "not measured (mean alpha is 1)",
+        }[self]
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EstimateFacts:
