@@ -35,7 +35,7 @@ FORMATS = {
     "The tracking file": TRACKING,
     "The tracking of several segments": TRACKINGS.whole,
     "The comparison file": COMPARISON,
-    "The modal base": MODES,
+    "The modal basis": MODES,
     "The truth of a simulation": TRUTH,
     "The plain matrices": PLAIN["ff_matrix"],
 }

@@ -20,7 +20,8 @@ PAGES = [page for page in PAGES if page.name not in EXCEPTIONS and "_build" not 
 MAX_WORDS = 30
 BANNED = re.compile(
     r"\b(tells?|telling|told|stands?|bears?|born[e]?|serves?|feign\w*|drown\w*|cures?|believes?"
-    r"|whoever|anew|dear|doors?|towers?|houses?|famil(y|ies)|at home|lots? of|likeliest)\b"
+    r"|whoever|anew|dear|doors?|towers?|houses?|famil(y|ies)|at home|lots? of|likeliest"
+    r"|modal base)\b"
     r"|(?-i:^([-*] )?(Who|Where|Elsewhere|Of which|Else)\b(?! to start))",
     re.IGNORECASE,
 )

@@ -1,4 +1,4 @@
-"""The modal base whole: found from P45's campaign, written, asked for on the command line."""
+"""The modal basis whole: found from P45's campaign, written, asked for on the command line."""
 
 import json
 import tracemalloc
@@ -150,7 +150,7 @@ def test_files_hold_what_was_found(p45, tmp_path):
             np.testing.assert_array_equal(hdus[0].data, wanted)
     with pytest.raises(OutputExists):
         write_modes(found, tmp_path / "m.fits")
-    with pytest.raises(FormatError, match="modal base"):
+    with pytest.raises(FormatError, match="modal basis"):
         tn.read(written[0])
 
 

@@ -1,4 +1,4 @@
-"""The report tells of the modal base wherever the data do, and why where they do not."""
+"""The report tells of the modal basis wherever the data do, and why where they do not."""
 
 from dataclasses import replace
 from types import SimpleNamespace

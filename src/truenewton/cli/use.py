@@ -134,7 +134,7 @@ def run_modes(
     off: str = typer.Option("", help="IDs of actuators that are switched off, such as 17,18."),
     slaved: str = typer.Option("", help="IDs of slaved actuators, which follow the others."),
     mirror: str | None = options.MIRROR_MODEL,
-    output: Path | None = options.output("Modal base to write. Matrices are written next to it."),
+    output: Path | None = options.output("Modal basis to write. Matrices are written next to it."),
     figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
     segment: int | None = options.SEGMENT,
     anyway: bool = options.ANYWAY,
@@ -154,7 +154,7 @@ def run_modes(
     from truenewton.reading import read_alpha, read_data
     from truenewton.records.file import SUFFIXES
 
-    options.require_suffix(output, SUFFIXES, "modal base")
+    options.require_suffix(output, SUFFIXES, "modal basis")
     limits = Budget(power, total_power, force)
     atmosphere = _atmosphere(seeing, outer_scale, diameter, efficiency, limits)
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
@@ -183,7 +183,7 @@ def run_modes(
                 written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
     shown = list(lines(found, limits))
     if output is not None and not quiet:
-        shown.append("  also written, next to the modal base: stiffness (true, commanded), modes"
+        shown.append("  also written, next to the modal basis: stiffness (true, commanded), modes"
                      " (ff_v_matrix), feed-forward (ff_matrix, ff_matrix_true)")  # fmt: skip
     files: Iterable[Path | None] = written or (None,)
     if written and not quiet and (output is None or output in written):  # not of segments

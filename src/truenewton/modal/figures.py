@@ -1,4 +1,4 @@
-"""Figures of the modal base: modes on the mirror, residual and power, before and after."""
+"""Figures of the modal basis: modes on the mirror, residual and power, before and after."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
 
 
 def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
-    """Draw the residual wavefront of the first N modes of each base."""
+    """Draw the residual wavefront of the first N modes of each basis."""
     with styled_axes(ax, 0.7) as ax:
         for cost, colour, line in zip(base.costs, CURVES, LINES, strict=False):
             left = cost.residual[:-1] / NANOMETRE  # without the last, which is 0
@@ -126,7 +126,7 @@ def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
 def modes_figures(
     modes: ModalFindings | Parts[ModalFindings], limits: Budget
 ) -> dict[str, Callable[..., Axes]]:
-    """Return the functions that draw the figures of the modal base, by name."""
+    """Return the functions that draw the figures of the modal basis, by name."""
     drawn: dict[str, Callable[..., Axes]] = {}
     for number, one in by_number(modes).items():
         of_it = f"segment-{number}-" if number else ""

@@ -1,4 +1,4 @@
-"""The modal base in files (docs/files.md): whole, as stiffness files, and as plain matrices."""
+"""The modal basis in files (docs/files.md): whole, as stiffness files, and as plain matrices."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class _Written:
 
     @property
     def base(self) -> ModalBase:
-        """The modal base with alpha."""
+        """The modal basis with alpha."""
         return self.findings.after
 
     @property
@@ -72,7 +72,7 @@ class _Written:
         return everywhere
 
     def displacements(self, cost: int | None = None) -> Array:
-        """Return (n, m) displacements of the enabled actuators for the modes of a base."""
+        """Return (n, m) displacements of the enabled actuators for the modes of a basis."""
         base = self.base
         modes = base.modes.modes if cost is None else base.costs[cost].modes
         return base.stiffness.displaced(modes)
@@ -92,7 +92,7 @@ def _states(base: ModalBase) -> NDArray[np.str_]:
 
 
 def _budget(name: str, base: int, *more: Column) -> TableFormat:
-    """Return the table of the first N modes of a base, a row for each N."""
+    """Return the table of the first N modes of a basis, a row for each N."""
 
     def of(values: Callable[[Dissipation], Any]) -> Callable[[_Written], Any]:
         return lambda written: values(written.base.costs[base]) if written.cost else None
@@ -181,7 +181,7 @@ BESIDE = ("true", "commanded", *PLAIN)
 
 
 def modes_paths(path: str | os.PathLike[str], number: int = 0) -> tuple[Path, ...]:
-    """Return the paths of all files of `write_modes`: the modal base first.
+    """Return the paths of all files of `write_modes`: the modal basis first.
 
     The number of a segment precedes the ending.
     """
@@ -201,7 +201,7 @@ def write_modes(
     *,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write the modal base, and feed-forward and modes as plain matrices; return the paths.
+    """Write the modal basis, and feed-forward and modes as plain matrices; return the paths.
 
     The other files are MODES.true.fits and MODES.commanded.fits, stiffness files of the force per
     true displacement in true and in commanded Newtons; and one plain matrix each:
@@ -243,7 +243,7 @@ def write_modes(
 def _write_into(
     folder: Path, paths: Sequence[Path], findings: ModalFindings, limits: Budget
 ) -> None:
-    """Write the modal base of one body into a folder, under the names of the paths."""
+    """Write the modal basis of one body into a folder, under the names of the paths."""
     base, stiffness, written = findings.after, findings.after.stiffness, _Written(findings, limits)
     acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     matrix = StiffnessMatrix(

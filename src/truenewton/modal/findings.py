@@ -138,7 +138,7 @@ def _largest_angle(v: Array, w: Array, c: Array, order: int) -> float:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ModalFindings(Summarised):
-    """The modal base with alpha, compared with that for alpha = 1.
+    """The modal basis with alpha, compared with that for alpha = 1.
 
     Attributes
     ----------
@@ -147,9 +147,9 @@ class ModalFindings(Summarised):
     calibration
         The source of alpha.
     after
-        The modal base with this alpha.
+        The modal basis with this alpha.
     uncalibrated
-        A function that computes the modal base with alpha = 1; see ``before``.
+        A function that computes the modal basis with alpha = 1; see ``before``.
     asymmetry, imbalance
         Of the stiffness with alpha = 1, and with this alpha; see `TrueStiffness`.
     sources
@@ -178,7 +178,7 @@ class ModalFindings(Summarised):
 
     @cached_property
     def before(self) -> ModalBase:
-        """The modal base with alpha = 1, computed at first access."""
+        """The modal basis with alpha = 1, computed at first access."""
         return self.uncalibrated()
 
     @cached_property
@@ -438,7 +438,7 @@ def _uncalibrated(
     stiffness_by: Callable[[None], TrueStiffness],
     efficiency: float | None,
 ) -> ModalBase:
-    """Return the modal base with alpha = 1."""
+    """Return the modal basis with alpha = 1."""
     stiffness = stiffness_by(None)
     static = static_force(stiffness, calibration, at_rest)
     return modal_base(after.matrix, stiffness, stiffness.modes, after.seen, static, efficiency)

@@ -1,4 +1,4 @@
-"""The modal base of a mirror: residual wavefront, forces and powers of the first N modes.
+"""The modal basis of a mirror: residual wavefront, forces and powers of the first N modes.
 
 With orthonormal modes V, the covariance C of the wavefront, of which the surface takes half, and
 the true forces G that hold unit displacements, the first N modes have the amplitudes and forces
@@ -84,7 +84,7 @@ class Budget:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dissipation:
-    """Residual wavefront, forces and powers of the first N = 1..m modes of a base."""
+    """Residual wavefront, forces and powers of the first N = 1..m modes of a basis."""
 
     base: str  # 'stiffness', 'Zernike' or 'Karhunen-Loeve'
     # (m, m) displacement at the commanded actuators, one mode a column, of unit length
@@ -286,7 +286,7 @@ def modal_base(
     static: Array,
     efficiency: float | None,
 ) -> ModalBase:
-    """Return the modal base of a stiffness, with (n,) `static_force` [N], efficiency [N/W^1/2]."""
+    """Return the modal basis of a stiffness, with (n,) `static_force` [N], efficiency [N/W^1/2]."""
     if seen is None:
         return ModalBase(matrix, stiffness, modes, static, None, ())
     costs = (

@@ -1,4 +1,4 @@
-"""The summary of a modal base: text for the terminal and the page, values for scripts."""
+"""The summary of a modal basis: text for the terminal and the page, values for scripts."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def _within(findings: ModalFindings, limits: Budget) -> list[str]:
 
 
 def _costs(findings: ModalFindings) -> Iterator[tuple[Dissipation, Dissipation | None]]:
-    """Yield the costs of each base with alpha, and with alpha = 1 (None for large mirrors)."""
+    """Yield the costs of each basis with alpha, and with alpha = 1 (None for large mirrors)."""
     after = findings.after.costs
     before = findings.before.costs if findings.compares else (None,) * len(after)
     yield from zip(after, before, strict=True)

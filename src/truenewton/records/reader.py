@@ -25,7 +25,7 @@ IN_MEMORY = 2**28  # bytes; FORCE and POSITION of files that are larger in total
 FOREIGN = {  # extensions of files that cannot be calibrated: what the file is, and what to do
     "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
     "MODES": Fault(
-        "is a modal base", "give what it was made from, or the .commanded.fits beside it"
+        "is a modal basis", "give what it was made from, or the .commanded.fits beside it"
     ),
     "TRACKING": Fault(
         "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
@@ -165,7 +165,7 @@ def _refuse_foreign(files: list[FitsFile], matrices: list[FitsFile]) -> None:
         faults = [fault for name, fault in FOREIGN.items() if name in file.extensions]
         if file.header.get("CTYPE2") == "ACTUATOR":
             faults += [
-                Fault("is a plain matrix of a modal base", "give the .commanded.fits beside it")
+                Fault("is a plain matrix of a modal basis", "give the .commanded.fits beside it")
             ]
         if file in matrices[1:]:
             faults += [Fault("is a second stiffness file among others", "give it alone")]

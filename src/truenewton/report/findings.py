@@ -1,4 +1,4 @@
-"""`investigate`: a calibration, its evidence and modal base, or why the data give none.
+"""`investigate`: a calibration, its evidence and modal basis, or why the data give none.
 
 The evidence is residuals, balance before and after, and singular values. The imbalance of a row is
 rho = A (alpha c) + k, three numbers, with the covariance S = A diag(alpha) Sigma diag(alpha) A'
@@ -262,7 +262,7 @@ class Findings:
     faults
         Why there is no calibration, each with its remedy.
     modes
-        The modal base of data and alpha, if there is one.
+        The modal basis of data and alpha, if there is one.
     no_modes
         Why there is none, in a sentence; empty without data or without calibration.
     """
@@ -432,7 +432,7 @@ def _of_campaign(
 
 
 def _modes(data: Campaign | StiffnessMatrix, find: Callable[[], Modal]) -> tuple[Modal | None, str]:
-    """Return the modal base, or a step towards it, or why there is none."""
+    """Return the modal basis, or a step towards it, or why there is none."""
     if data.layout.n > MAX_MODES:
         how = f"Those of {data.layout.n} actuators take minutes. Use truenewton modes."
         return None, f"Stiffness modes are not shown. {how}"

@@ -520,7 +520,7 @@ def changed_segments(change: Change) -> TextTable:
 
 
 def modal_sections(findings: Findings) -> Iterator[Section]:
-    """Yield the modal base, or why there is none; nothing of a calibration file."""
+    """Yield the modal basis, or why there is none; nothing of a calibration file."""
     modes = findings.modes
     if modes is not None:
         yield _stiffness_modes(modes)
@@ -564,14 +564,14 @@ def _stiffness_modes(modes: ModalFindings) -> Section:
 
 
 def _turbulence(base: ModalBase) -> Section:
-    caption = "Rms wavefront at the actuators that remains after the first N modes of each base."
+    caption = "Rms wavefront at the actuators that remains after the first N modes of each basis."
     words = (f"For {turbulence_text(base)}.", f"Fitting error: {fitting_error_text(base)}.")
     return Section("turbulence", "Turbulence", words, "modes-residual", caption)
 
 
 def _dissipation(base: ModalBase) -> Section:
     rows = cost_rows(base)
-    caption = "Power of N modes of each base, static force included."
+    caption = "Power of N modes of each basis, static force included."
     words = (
         f"Static forces of the actuators: {static_force_text(base)}.",
         "truenewton modes --power W --force N prints the number of modes within a limit.",
@@ -579,7 +579,7 @@ def _dissipation(base: ModalBase) -> Section:
     head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",
             "worst (mN)", "power mean (W)", "worst (W)", "total (W)")  # fmt: skip
     table = TextTable(
-        "Residual wavefront after N modes of each base; force and power of N stiffness modes",
+        "Residual wavefront after N modes of each basis; force and power of N stiffness modes",
         head[: len(rows[0])], tuple(rows),
     )  # fmt: skip
     figure = "modes-power" if np.isfinite(base.costs[0].efficiency) else ""
