@@ -23,6 +23,16 @@ def test_of_rows_that_do_not_fit_it_is_said_what_the_files_contain_and_why_there
     assert any(line.startswith("  alpha is not determined: ") for line in lines)
 
 
+def test_a_file_with_fewer_rows_than_the_others_of_its_load_is_named():
+    bare, *others = p45()
+    columns = "time", "shape", "sign", "valid", "force", "temperature", "position"
+    short = {name: getattr(bare, name)[:50] for name in columns}
+    lines = survey(Campaign((replace(bare, **short), *others)))[1]
+    of_load = {line.split()[1]: line for line in lines if line.startswith("  load ")}
+    assert of_load["bare"].endswith(f" 2 cycles, 140 rows (only 50 in {bare.name})")
+    assert of_load["ring"].endswith(" 2 cycles, 180 rows")
+
+
 def test_a_matrix_by_reciprocity_has_its_symmetry_with_gains_and_its_halves():
     made = measured_or_made("p45")
     gains = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(45)

@@ -152,9 +152,12 @@ def _survey_campaign(
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         verdict = no_alpha(refusals(error, screened))
     shapes = len(np.unique(np.concatenate([c.shape[c.valid] for c in campaign.cycles])))
-    loads = []
+    loads, shortest = [], []
     for load, weight in zip(campaign.loads, campaign.effective_weights.tolist(), strict=True):
         cycles = [c for c in campaign.cycles if c.load.key == load.key]
+        rows, name = min((len(c.time), c.name) for c in cycles)
+        alike = all(len(c.time) == rows for c in cycles)
+        shortest.append("" if alike else f" (only {rows} in {name})")
         loads.append(
             {
                 **attributes(load, load="name", added="added", e_added="added_error", tilt="tilt"),
@@ -178,11 +181,11 @@ def _survey_campaign(
         f", {counted(campaign.cycles, 'cycle file')}, {counted(shapes, 'shape')}",
         row("weight P", f"{with_error(campaign.weight, campaign.weight_error)} N"),
     ]
-    for facts in loads:
+    for facts, only in zip(loads, shortest, strict=True):
         added = f"Q = {with_error(facts['added'], facts['e_added'])} N"
         tilt = f", tilt {facts['tilt']:g} deg" if facts["tilt"] else ""
         invalid = f", {facts['invalid']} not valid" if facts["invalid"] else ""
-        counts = f", {counted(facts['cycles'], 'cycle')}, {counted(facts['rows'], 'row')}"
+        counts = f", {counted(facts['cycles'], 'cycle')}, {counted(facts['rows'], 'row')}{only}"
         lines.append(row(f"load {facts['load']}", added + tilt + counts + invalid))
     lines.append(row("largest force", f"{values['largest_force']:.3g} N commanded"))
     if np.isfinite(noise):
