@@ -1,4 +1,4 @@
-"""The probability of the fit where the noise mostly balances, and is known from repeats alone."""
+"""The probability of the fit if most of the noise balances and is estimated from repeats."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ import scipy.linalg
 import truenewton as tn
 from helpers.balanced import changed, p45_bench, p45_shapes
 
-SIGMA, SHARE = 1e-4, 0.1
+SIGMA, FRACTION = 1e-4, 0.1  # noise [N], unbalanced fraction of its variance
 
 
 def with_motion(quiet, alpha, seed):
-    """Return a campaign in which the mirror's own motion makes nine tenths of the noise."""
+    """Return a campaign in which motion of the mirror causes 90 % of the noise."""
     random = np.random.default_rng(seed)
     layout = quiet.layout
     balanced = scipy.linalg.null_space(np.stack([layout.nz, layout.x, layout.y]) * alpha)
@@ -19,7 +19,7 @@ def with_motion(quiet, alpha, seed):
     def moved(_, cycle):
         shape = np.shape(cycle.force)
         moves = random.standard_normal((shape[0], 42)) @ balanced.T
-        noise = np.sqrt(1 - SHARE) * moves + np.sqrt(SHARE) * random.standard_normal(shape)
+        noise = np.sqrt(1 - FRACTION) * moves + np.sqrt(FRACTION) * random.standard_normal(shape)
         return cycle.force + SIGMA * noise
 
     return changed(quiet, force=moved, force_error=None)
@@ -29,7 +29,7 @@ def with_motion(quiet, alpha, seed):
     ("cycles", "campaigns"),
     [(2, 40), *(pytest.param(c, 150, marks=pytest.mark.study) for c in (2, 4))],
 )
-def test_sound_campaigns_are_improbable_as_often_as_chance_has_it(cycles, campaigns):
+def test_the_probability_of_sound_campaigns_is_uniform(cycles, campaigns):
     quiet = p45_shapes(p45_bench().shapes, 0.0, cycles)
     alpha = p45_bench().truth.alpha
     found = [tn.calibrate(with_motion(quiet, alpha, seed)).goodness for seed in range(campaigns)]

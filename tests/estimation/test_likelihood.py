@@ -1,4 +1,4 @@
-"""`ml`: its sums against loops, its errors against the Cramer-Rao bound, what it refuses."""
+"""`ml`: sums compared with loops, errors with the Cramer-Rao bound, and refusals."""
 
 from dataclasses import replace
 
@@ -55,12 +55,12 @@ SIGMA = 1e-3
 
 
 def find(campaign, population=False):
-    """Return what ml finds of a campaign."""
+    """Return the estimate of ml for a campaign."""
     return campaign_ml.fit_campaign(screen_campaign(campaign), population)
 
 
 def of_one_load(c, r=None, q=None, variance=0.0, load=(0.0, 0.0, 0.0), place=0):
-    """Return a set of shapes under the first or second of two loads, of weights 1 unless told."""
+    """Return a set of shapes under the first or second of two loads, with weights 1 by default."""
     r = np.ones(len(c)) if r is None else r
     sums = shape_sums(c, r, np.zeros((len(c), 3)) if q is None else q, np.ones((1, len(c))))
     nuisance = np.zeros((3, 5))
@@ -68,11 +68,11 @@ def of_one_load(c, r=None, q=None, variance=0.0, load=(0.0, 0.0, 0.0), place=0):
     return DataSet(sums, variance, np.array([load]), nuisance[None])
 
 
-# The sums, against loops over shapes.
+# Sums compared with loops over shapes.
 
 
 def problem(seed=0, n=9, shapes=20):
-    """Return arms, two sets of shapes with unequal weights and known parts, and a point."""
+    """Return arms, rows and two sets of shapes with unequal weights and known parts, and values."""
     random = np.random.default_rng(seed)
     a = np.stack([random.uniform(0.8, 1.0, n), *random.normal(0.0, 0.1, (2, n))])
     rows, sets = [], []
@@ -119,19 +119,19 @@ def test_sums_equal_loops_over_shapes():
     )
 
 
-def test_the_gradient_is_that_of_half_chi2():
+def test_the_gradient_is_the_derivative_of_half_chi2():
     a, _, sets, values = problem(seed=1)
     gradient = _terms(a, sets, values).gradient
     for k in range(len(values)):
         step = np.zeros(len(values))
         step[k] = 1e-5
         rise = chi2_at(a, sets, values + step) - chi2_at(a, sets, values - step)
-        # Central differences: the third derivative leaves 1e-10 of the largest component.
+        # The third derivative limits central differences to 1e-10 of the largest component.
         assert rise / 4e-5 == pytest.approx(gradient[k], abs=1e-7 * np.abs(gradient).max())
 
 
-def test_m_at_the_truth_is_information_and_d_on_average():
-    """M over 1000 draws of noise: its mean is the information of the noiseless shapes plus D."""
+def test_the_mean_of_m_at_the_truth_is_information_plus_d():
+    """The information is that of noiseless shapes; the mean is taken over 1000 draws of noise."""
     quiet, truth = campaign_of(seed=2, noise=0.0, cycles=1, loads=EXACT)
     a, values = arms_of(LAYOUT), truth
     large = 0.15  # of noise, so that D matters
@@ -146,15 +146,15 @@ def test_m_at_the_truth_is_information_and_d_on_average():
     expected = _terms(a, [part for part, _ in clean], values)
     information, noise_information = expected.m[:14, :14], expected.noise_information @ np.eye(14)
     mean = total[:14, :14] / draws - information
-    # Seen: 0.17 of the information; the mean of 1000 draws is known to 1.5 % of D, each element of
-    # the diagonal to a few.
+    # D is 0.17 of the information. The mean of 1000 draws has an error of 1.5 % of D, and each
+    # diagonal element of a few per cent.
     assert np.trace(noise_information) > 0.05 * np.trace(information)
     assert np.trace(mean) == pytest.approx(np.trace(noise_information), rel=0.05)
     assert np.diag(mean) == pytest.approx(np.diag(noise_information), rel=0.2)
 
 
 def quiet_sets(campaign, sigma):
-    """Return for each load of a noiseless campaign its set of shapes, and their forces."""
+    """Return the set of shapes and their forces for each load of a noiseless campaign."""
     variance = np.full(14, sigma**2)
     return [
         (of_one_load(c.used_force, None, None, variance, (weight, 0.0, 0.0), place), c.used_force)
@@ -180,9 +180,9 @@ def quiet_sets(campaign, sigma):
     ],
 )
 def test_noiseless_readings_give_the_truth(loads, cycles, declared):
-    """With errors of the weights to a thousandth of what these leave of the common scale.
+    """If weights have errors, alpha is exact to 1e-3 of the error of the common scale.
 
-    FORCERR of 1 uN ends the iteration at a part in 1e5 of a standard error of 2e-6.
+    With a FORCERR of 1 uN the iteration ends at 1e-5 of a standard error of 2e-6.
     """
     exact = all(k.added_error == 0 for k in loads)
     error = 0.0 if exact or declared else 0.005
@@ -194,8 +194,8 @@ def test_noiseless_readings_give_the_truth(loads, cycles, declared):
 
 
 @pytest.mark.parametrize(("method", "metre"), [("ml", 50.0), ("svd", 1.0)])
-def test_turned_axes_and_other_units_leave_alpha(method, metre):
-    """Axes turned by 2 rad, forces in quarters of a newton; of `ml` lengths in units of 2 cm."""
+def test_alpha_does_not_depend_on_axes_and_units(method, metre):
+    """Axes rotate by 2 rad; forces are in units of 0.25 N, and lengths, for `ml`, of 2 cm."""
     campaign, _ = campaign_of(seed=7, noise=SIGMA, cycles=3)
     of, c, s = campaign.layout, metre * np.cos(2.0), metre * np.sin(2.0)
     layout = Layout(of.id, c * of.x - s * of.y, s * of.x + c * of.y, of.nz, of.enabled)
@@ -204,7 +204,7 @@ def test_turned_axes_and_other_units_leave_alpha(method, metre):
     assert np.abs((4 * two.alpha - one.alpha) / one.statistical_error).max() < 1e-5
     assert 4 * two.error == pytest.approx(one.error, rel=1e-6)
     assert two.noise == pytest.approx(4 * one.noise, rel=1e-9)
-    # (M_y, -M_x) turn as the moments of (x, y).
+    # (M_y, -M_x) rotate like the moments of (x, y).
     assert two.torque_y == pytest.approx(c * one.torque_y + s * one.torque_x, abs=1e-8 * metre)
     assert two.torque_x == pytest.approx(-s * one.torque_y + c * one.torque_x, abs=1e-8 * metre)
 
@@ -231,8 +231,8 @@ def information(quiet, truth, sigma, weights=None):
     """Return the Fisher information of alpha, B and torques, from noiseless readings.
 
     Brute force: the mean reading of a shape is a function of the unknowns and of n - 3 coordinates
-    of its own (all forces that balance); these coordinates are eliminated, shape by shape. `sigma`
-    is (n,) of one reading, `weights` what each cycle counts for.
+    of its own (all forces that balance), which are eliminated for each shape. `sigma` is the (n,)
+    noise of one reading; `weights` are those of the cycles.
     """
     a = arms_of(quiet.layout)[:, quiet.layout.enabled]
     n, loads = a.shape[1], len(quiet.loads)
@@ -246,20 +246,20 @@ def information(quiet, truth, sigma, weights=None):
         of_load[1, 1 + 2 * place], of_load[2, 2 + 2 * place] = 1.0, -1.0
         of_load[0, 1 + 2 * loads :] = [change[place] for change in errors.values()]
         whitening = np.sqrt(1.0 if weights is None else weights[k]) / sigma
-        # Of the coordinates: their span in units of noise, orthonormal.
+        # Orthonormal basis of the coordinates, in units of the noise.
         span = np.linalg.qr(free * whitening[:, None])[0]
         for c in cycle.used_force:
             slope = -back @ np.hstack([a * c, of_load]) * whitening[:, None]
-            left = slope - span @ (span.T @ slope)
-            total += left.T @ left
+            projected = slope - span @ (span.T @ slope)
+            total += projected.T @ projected
     return total
 
 
 def check_calibrated(found, truth, fisher):
-    """Check bias, scatter and stated errors of many campaigns that share their truth.
+    """Check bias, scatter and stated errors of many campaigns with the same truth.
 
-    In units of the bound every error has u components of variance 1: over N campaigns the mean
-    square is known to root(2 / u N), 3.0 % of it for u = 19 and N = 120, half of that in scatter.
+    In units of the bound every error has u components of variance 1. The mean square of N campaigns
+    has a relative error of root(2 / u N), 3.0 % for u = 19 and N = 120; the rms has half of that.
     """
     errors = np.array([f.values for f in found]) - truth
     campaigns, u = errors.shape
@@ -270,15 +270,15 @@ def check_calibrated(found, truth, fisher):
     assert ratio == pytest.approx(1.0, abs=0.03 + 3 * sampling)
     bias = np.mean(white.mean(axis=0) ** 2) - np.mean(white.var(axis=0, ddof=1)) / campaigns
     assert bias < 0.1**2  # a tenth of the scatter; sampling leaves root(2 / u) / N, 0.003
-    # The same in terms of what each campaign states of itself.
+    # The same for the stated errors of each campaign.
     stated = np.mean([trace_in(f.reading_covariance, fisher) for f in found])
     assert np.sqrt(stated) == pytest.approx(ratio, rel=0.03 + 3 * sampling)
     rms = np.sqrt(np.mean(errors**2, axis=0))
-    said = np.sqrt(np.mean([np.diag(f.reading_covariance) for f in found], axis=0))
-    # Each of u: 1 / root(2 N), four sigma.
-    assert said == pytest.approx(rms, rel=4 / np.sqrt(2 * campaigns))
+    stated_rms = np.sqrt(np.mean([np.diag(f.reading_covariance) for f in found], axis=0))
+    # Sampling error of each: 1 / root(2 N), four sigma.
+    assert stated_rms == pytest.approx(rms, rel=4 / np.sqrt(2 * campaigns))
     each = np.sqrt([np.diag(f.reading_covariance) for f in found])
-    # At worst all u agree with each other: root(0.05 * 0.95 / N), three sigma.
+    # Worst case, fully correlated components: root(0.05 * 0.95 / N), three sigma.
     assert np.mean(np.abs(errors) < 1.96 * each) == pytest.approx(0.95, abs=0.654 / campaigns**0.5)
 
 
@@ -288,20 +288,20 @@ def trace_in(covariance, fisher):
 
 
 def check_goodness(found):
-    """Check that chi2 over DOF is 1 on average and its probability spread evenly."""
+    """Check that reduced chi2 is 1 on average and its probability uniform."""
     reduced = np.array([f.goodness.reduced for f in found])
     freedom = found[0].goodness.degrees_of_freedom
     assert reduced.mean() == pytest.approx(1.0, abs=0.02 + 4 * np.sqrt(2 / freedom / len(found)))
     probability = np.array([f.goodness.probability for f in found])
     for level in (0.05, 0.5, 0.95):
-        share = np.mean(probability < level)
-        # Binomial, four sigma; 0.02 for a noise that is itself estimated.
+        fraction = np.mean(probability < level)
+        # Binomial, four sigma, and 0.02 because the noise is estimated.
         sampling = np.sqrt(level * (1 - level) / len(found))
-        assert share == pytest.approx(level, abs=0.02 + 4 * sampling)
+        assert fraction == pytest.approx(level, abs=0.02 + 4 * sampling)
 
 
 UNEQUAL = np.array([1e-3, 2e-3, 0.5e-3] * 2)
-# Cycles and what else campaigns are made of, noise, and the FORCERR of each cycle.
+# Options of campaigns, noise, and the FORCERR of each cycle.
 BENCHES = {
     "two loads": ({"cycles": 3, "loads": EXACT}, SIGMA, [None] * 6),
     "three loads": ({"cycles": 3, "loads": EXACT_THREE}, SIGMA, [None] * 9),
@@ -324,7 +324,7 @@ BENCHES = {
         *(pytest.param(b, MANY, marks=pytest.mark.study) for b in BENCHES),
     ],
 )
-def test_scatter_is_at_the_bound(bench, campaigns):
+def test_scatter_reaches_the_cramer_rao_bound(bench, campaigns):
     options, sigma, declared = BENCHES[bench]
     quiet, truth = campaign_of(11, 0.0, weight_error=0.0, **options)
     quiet = changed(quiet, force_error=lambda k, _: declared[k])
@@ -339,7 +339,7 @@ def test_scatter_is_at_the_bound(bench, campaigns):
     if against == "minimum":
         assert np.isnan(found[0].goodness.probability)
         noise = np.array([f.noise for f in found])
-        # Of one campaign 1 / root(2 DOF) = 5.8 %; of the mean an eleventh.
+        # One campaign: 1 / root(2 DOF) = 5.8 %; their mean: an eleventh of it.
         assert noise.mean() == pytest.approx(SIGMA, rel=0.02)
         freedom = found[0].goodness.degrees_of_freedom
         assert np.std(noise) / SIGMA == pytest.approx(1 / np.sqrt(2 * freedom), rel=0.25)
@@ -347,7 +347,7 @@ def test_scatter_is_at_the_bound(bench, campaigns):
         check_goodness(found)
 
 
-ELASTIC_NOISE = 2e-4  # of one element of a mode of unit length
+ELASTIC_NOISE = 2e-4  # of an element of a unit mode
 
 
 def with_matrix(campaign, truth, seed, noise=ELASTIC_NOISE):
@@ -364,7 +364,7 @@ def with_matrix(campaign, truth, seed, noise=ELASTIC_NOISE):
 
 
 def elastic_information(truth, unknowns, noise=ELASTIC_NOISE):
-    """Return what the modes tell of alpha, by brute force."""
+    """Return the information of the modes on alpha, by brute force."""
     a, n = arms_of(LAYOUT), LAYOUT.n
     arms = a * truth[:n]
     s_inverse = np.linalg.inv(noise**2 * arms @ arms.T)
@@ -376,15 +376,15 @@ def elastic_information(truth, unknowns, noise=ELASTIC_NOISE):
 
 @pytest.mark.study
 @pytest.mark.parametrize("repeats", [True, False])
-def test_a_stiffness_matrix_beside_cycles_adds_its_information(repeats):
+def test_a_stiffness_matrix_adds_its_information_to_that_of_cycles(repeats):
     cycles = 3 if repeats else 1
     quiet, truth = campaign_of(19, 0.0, cycles=cycles, weight_error=0.0, loads=EXACT)
     found = [find(with_matrix(noisy(quiet, SIGMA, [20, k]), truth, [21, k])) for k in range(MANY)]
     alone = information(quiet, truth, np.full(14, SIGMA))
     both = alone + elastic_information(truth, len(truth))
     gain = np.trace(np.linalg.inv(both)[:14, :14]) / np.trace(np.linalg.inv(alone)[:14, :14])
-    assert gain < 0.95  # something is gained
-    # The noise of the modes is known from themselves, 33 - 13 degrees of freedom: 16 %.
+    assert gain < 0.95
+    # The noise of the modes is estimated with 33 - 13 degrees of freedom, to 16 %.
     errors = (np.array([f.values for f in found]) - truth) @ np.linalg.cholesky(both)
     ratio = np.sqrt(np.mean(errors**2))
     assert ratio == pytest.approx(1.0, abs=0.08)
@@ -396,8 +396,8 @@ def test_a_stiffness_matrix_beside_cycles_adds_its_information(repeats):
 
 @pytest.mark.study
 @pytest.mark.parametrize("loads", [BARE_AND_RING, THREE])
-def test_weights_off_as_declared_are_covered_and_at_the_bound_that_counts_them(loads):
-    """Weights as they are declared differ from the true ones by their errors."""
+def test_errors_of_weights_are_covered_and_reach_the_bound(loads):
+    """Declared weights differ from the true ones by their errors."""
     quiet, truth = campaign_of(22, 0.0, cycles=2, loads=loads)
     sources, n = weight_errors(quiet), 14
     fisher = information(quiet, truth, np.full(n, SIGMA))
@@ -434,8 +434,8 @@ def declared_weights(quiet, random):
 
 
 @pytest.mark.parametrize("noise", [4e-6, 1e-4])
-def test_quiet_readings_have_errors_that_hold(noise):
-    """Down to the 4 uN of the loop's own means."""
+def test_stated_errors_are_valid_for_low_noise(noise):
+    """The lowest noise, 4 uN, is that of means of the control loop."""
     quiet, truth = campaign_of(25, 0.0, cycles=2)
     exact = campaign_of(25, 0.0, cycles=2, loads=EXACT, weight_error=0.0)[0]
     fisher = information(exact, truth, np.full(14, noise))
@@ -447,10 +447,10 @@ def test_quiet_readings_have_errors_that_hold(noise):
         assert np.sqrt(np.diag(f.reading_covariance)) == pytest.approx(bound, rel=0.25)
 
 
-# What cannot be known.
+# Convergence and conditioning.
 
 
-def test_a_start_that_is_far_off_ends_at_the_same_minimum():
+def test_the_minimum_does_not_depend_on_the_start():
     quiet, truth = campaign_of(28, SIGMA, cycles=1, loads=EXACT)
     sets = [part for part, _ in quiet_sets(quiet, SIGMA)]
     prior, a = Prior(np.zeros(19), np.zeros((19, 19))), arms_of(LAYOUT)
@@ -461,8 +461,8 @@ def test_a_start_that_is_far_off_ends_at_the_same_minimum():
 
 
 @pytest.mark.parametrize("kind", ["quiet", "noisy", "three loads", "one disabled", "population"])
-def test_the_condition_is_that_of_the_singular_values_of_e(kind):
-    """CONDITIO, found in a few steps, against a full decomposition; noise of repeats adds to E."""
+def test_the_condition_number_is_that_of_e(kind):
+    """CONDITIO is computed iteratively. The noise of repeats adds to E."""
     options = {"noisy": {"noise": 0.01, "cycles": 1}, "three loads": {"loads": THREE},
                "one disabled": {"disabled": (4,)}}.get(kind, {})  # fmt: skip
     campaign, _ = campaign_of(40, **{"noise": 1e-5} | options)
@@ -470,10 +470,10 @@ def test_the_condition_is_that_of_the_singular_values_of_e(kind):
     assert found.condition == pytest.approx(condition_in_units_of_rms(campaign), rel=1e-3)
 
 
-# A population, if asked for.
+# Population prior.
 
 
-def test_a_population_is_named_never_default_and_pulls_to_the_mean():
+def test_a_population_prior_is_optional_and_shrinks_alpha_to_the_mean():
     campaign, _ = campaign_of(29, 5e-3, cycles=2, shapes=6, loads=EXACT, weight_error=0.0)
     plain, pooled = calibrate(campaign), calibrate(campaign, population=True)
     assert plain.method == "ml"
@@ -486,8 +486,8 @@ def test_a_population_is_named_never_default_and_pulls_to_the_mean():
         calibrate(campaign, motion={1: np.eye(campaign.layout.n)})
 
 
-def test_weights_that_disagree_are_warned_of():
-    """Three loads, the ring twenty of its errors off: two of the three would never show it."""
+def test_inconsistent_weights_cause_a_warning():
+    """One of three loads is wrong by 20 sigma; two loads could not show this."""
     campaign, _ = campaign_of(40, 1e-4, loads=THREE)
     assert find(campaign).diagnosis.warnings == ()
     ring = campaign.loads[1]
@@ -496,20 +496,20 @@ def test_weights_that_disagree_are_warned_of():
     assert found.diagnosis.warnings[0].fault.startswith("the weights of the 3 loads disagree by ")
 
 
-def test_a_file_that_declares_no_noise_makes_all_count_alike():
+def test_all_files_have_equal_weight_if_one_declares_no_noise():
     campaign, _ = campaign_of(41, 1e-5, cycles=3)
-    silent = find(campaign)
+    undeclared = find(campaign)
     one = find(changed(campaign, force_error=lambda k, _: None if k else 1e-5))
-    assert one.values == pytest.approx(silent.values, rel=1e-12, abs=1e-14)
-    assert one.noise == pytest.approx(silent.noise, rel=1e-12)
+    assert one.values == pytest.approx(undeclared.values, rel=1e-12, abs=1e-14)
+    assert one.noise == pytest.approx(undeclared.noise, rel=1e-12)
 
 
-def test_a_large_mirror_with_quiet_readings_is_calibrated():
-    """672 actuators at 10 uN: what the readings and the weights say lies twelve orders apart."""
+def test_a_large_mirror_with_low_noise_is_calibrated():
+    """With 672 actuators at 10 uN, the information spans twelve orders of magnitude."""
     campaign, truth = campaign_of(42, 1e-5, layout=lbt672().layout, cycles=2)
     found = calibrate(campaign)
     error = (found.alpha - truth[:672]) / found.statistical_error
-    assert np.sqrt(np.mean(error**2)) < 1.6  # a few patterns, and so the common scale, are shared
+    assert np.sqrt(np.mean(error**2)) < 1.6  # a few patterns and the common scale dominate
     assert found.diagnosis.undetermined == 0
     assert found.goodness.reduced == pytest.approx(1.0, abs=0.1)
 
@@ -521,7 +521,7 @@ def places(n):
     return np.stack([np.ones(n), radius * np.cos(angle), radius * np.sin(angle)])
 
 
-def test_the_spread_is_found_beside_any_smooth_pattern():
+def test_the_population_spread_is_estimated_beside_a_smooth_pattern():
     a, random = places(400), np.random.default_rng(2)
     covariance = np.diag(random.uniform(0.01, 0.03, 400) ** 2)
     found = []
@@ -535,8 +535,8 @@ def test_the_spread_is_found_beside_any_smooth_pattern():
 
 
 @pytest.mark.parametrize("n", [45, 400])
-def test_a_population_leaves_a_smooth_alpha_alone(n):
-    """Neither its scale nor a factor that is smooth: quadratic, on many actuators of degree 4."""
+def test_a_population_prior_does_not_change_a_smooth_alpha(n):
+    """Smooth means of degree 2, and of degree 4 with many actuators. The scale is kept as well."""
     a = places(n)
     rise = 0.3 * (a[1] ** 2 + a[2]) + (0.2 * a[1] ** 3 * a[2] if n > 100 else 0.0)
     alpha = 1.7 * np.exp(rise)
@@ -548,8 +548,8 @@ def test_a_population_leaves_a_smooth_alpha_alone(n):
 
 
 @pytest.mark.study
-def test_errors_cover_alpha_that_rises_to_the_rim():
-    """P45, 10 % to the rim beside 2 % of scatter, 300 N/m of noise in each element."""
+def test_errors_cover_an_alpha_that_increases_towards_the_rim():
+    """Alpha of P45 increases by 10 % and scatters by 2 %; elements have a noise of 300 N/m."""
     truth, covered = p45_bench().truth, []
     radius = np.hypot(*arms(truth.layout)[1:])
     for seed in range(60):

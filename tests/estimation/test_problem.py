@@ -1,4 +1,4 @@
-"""Bad rows: found, named and left out; sound campaigns left alone."""
+"""Bad rows are found, reported and rejected; sound rows are kept."""
 
 from dataclasses import replace
 
@@ -30,15 +30,15 @@ EXACT = (Load("bare"), replace(RING, added_error=0.0))
 
 
 def small(seed, **options):
-    """Return a small campaign at 1 mN whose weights are exact, and its truth."""
+    """Return a small campaign with 1 mN noise and exact weights, and its truth."""
     return campaign_of(seed, SIGMA, loads=EXACT, weight_error=0.0, **options)
 
 
-def spiked(campaign, share, seed, low=20e-3, high=100e-3):
-    """Return the campaign with a spike in that share of its rows, and {(cycle, row): ID}."""
+def spiked(campaign, fraction, seed, low=20e-3, high=100e-3):
+    """Return the campaign with spikes in a fraction of its rows, and {(cycle, row): ID}."""
     random, places = np.random.default_rng(seed), {}
     for k, cycle in enumerate(campaign.cycles):
-        rows = random.permutation(len(cycle.time))[: round(share * len(cycle.time))]
+        rows = random.permutation(len(cycle.time))[: round(fraction * len(cycle.time))]
         for row in rows.tolist():
             actuator = int(random.choice(np.flatnonzero(cycle.layout.enabled)))
             size = random.choice([-1, 1]) * random.uniform(low, high)
@@ -51,8 +51,8 @@ def rows_of(found):
     return {(row.cycle, row.row) for row in found.rejected_rows}
 
 
-def test_spikes_in_five_per_cent_of_rows_cost_less_than_a_tenth():
-    """Five campaigns of P45; the same noise with and without spikes, so that the ratio is sharp."""
+def test_spikes_in_5_percent_of_rows_increase_errors_by_less_than_10_percent():
+    """The noise is the same with and without spikes, which makes the ratio precise."""
     quiet, alpha = exact_weights(replace(p45_bench(), force_noise=0.0)), p45_bench().truth.alpha
     clean, dirty, missed, wrong, named = [], [], 0, 0, 0
     for seed in range(5):
@@ -76,26 +76,26 @@ def test_spikes_in_five_per_cent_of_rows_cost_less_than_a_tenth():
 @pytest.mark.parametrize(
     ("cycles", "campaigns"), [(1, 50), pytest.param(2, 300, marks=pytest.mark.study)]
 )
-def test_a_sound_campaign_loses_a_row_as_seldom_as_stated(cycles, campaigns):
-    """Two tests at 1 % each, three sigma."""
+def test_the_false_rejection_rate_is_as_stated(cycles, campaigns):
+    """There are two tests at 1 % each; the tolerance is three sigma."""
     sound = (screen_campaign(small([3, k], cycles=cycles)[0]) for k in range(campaigns))
     lost = sum(bool(campaign_ml.fit_campaign(one, population=False).rejected_rows) for one in sound)
     assert lost <= 0.02 * campaigns + 3 * np.sqrt(0.02 * campaigns)
 
 
-def test_a_row_that_is_off_is_named_with_its_actuator_and_distance():
+def test_a_rejected_row_is_reported_with_its_actuator_and_distance():
     campaign, _ = small(5, cycles=4)
     [row] = calibrate(with_spike(campaign, 6, 17, 3, 0.05)).rejected_rows
     assert (row.cycle, row.row, row.actuator, row.against) == (6, 17, 4, "repeats")
-    # Against the three others: 50 mN over 1 mN root(1 + 1 / 3), less what it adds to the noise.
+    # At most 50 mN / (1 mN root(1 + 1 / 3)); less, as the spike increases the estimated noise.
     assert 10 < row.sigmas < 60
-    campaign, _ = small(6, cycles=2)  # of two rows that disagree both go
+    campaign, _ = small(6, cycles=2)  # if two rows disagree, both are rejected
     rows = calibrate(with_spike(campaign, 1, 4, 9, 0.05)).rejected_rows
     assert sorted((r.cycle, r.row, r.actuator) for r in rows) == [(0, 4, 10), (1, 4, 10)]
 
 
-def test_an_actuator_that_often_spikes_does_not_hide_in_its_own_noise():
-    """As large each time and in a tenth of the rows: the scatter swells to 15 times the noise."""
+def test_frequent_spikes_of_an_actuator_are_not_taken_for_its_noise():
+    """Equal spikes in a tenth of the rows increase the scatter to 15 times the noise."""
     campaign, truth = small(17, cycles=4)
     random, spikes = np.random.default_rng(18), set()
     for k in range(8):
@@ -104,7 +104,7 @@ def test_an_actuator_that_often_spikes_does_not_hide_in_its_own_noise():
             spikes.add((k, row))
     found = calibrate(campaign)
     assert rows_of(found) >= spikes
-    assert found.rejected <= len(spikes) + 6  # where two of three repeats are bad, all may go
+    assert found.rejected <= len(spikes) + 6  # if two of three repeats are bad, all may be rejected
     assert rms_z(found, truth[:14]) < 2.5
 
 
@@ -116,8 +116,8 @@ def test_an_actuator_that_often_spikes_does_not_hide_in_its_own_noise():
         (SIGMA, 0.1, 0.5),
     ],
 )
-def test_without_repeats_a_tenth_of_bad_rows_cannot_drag_the_start(declared, low, high):
-    """Six campaigns of one cycle; errors all but as without bad rows."""
+def test_the_start_is_robust_against_10_percent_of_bad_rows(declared, low, high):
+    """Campaigns of one cycle have no repeats. Errors hardly increase."""
     clean, dirty = [], []
     for seed in range(6):
         campaign, truth = small([7, seed], cycles=1)
@@ -130,12 +130,12 @@ def test_without_repeats_a_tenth_of_bad_rows_cannot_drag_the_start(declared, low
         assert rms_z(found, truth[:14]) < 2.5
         clean.append(np.mean((calibrate(campaign).alpha - truth[:14]) ** 2))
         dirty.append(np.mean((found.alpha - truth[:14]) ** 2))
-    # A tenth of 56 shapes gone costs 5 % in RMS and, on few shapes, some more: seen, 13 %.
+    # Losing a tenth of 56 shapes increases the rms error by 13 % (5 % with many shapes).
     assert np.sqrt(np.mean(dirty) / np.mean(clean)) < 1.3
 
 
-def test_a_row_wrong_in_all_repeats_is_found_against_the_balance():
-    """A spike that repeats: the readings agree, the balance does not."""
+def test_a_row_that_is_wrong_in_all_repeats_is_found_by_the_balance():
+    """The spike is the same in all repeats, so that readings agree but do not balance."""
     campaign, truth = small(9, cycles=4)
     for k in (4, 5, 6, 7):  # all under the ring
         campaign = with_spike(campaign, k, 8, 12, 0.1)
@@ -154,11 +154,11 @@ def test_too_many_bad_rows_are_refused_with_their_number():
     assert f"of {8 * 28} rows" in refused.value.fault
 
 
-def test_rows_that_are_left_out_leave_sums_as_of_the_rest(monkeypatch):
-    """Whether their blocks alone are summed again, or all."""
+def test_sums_exclude_rejected_rows(monkeypatch):
+    """With blocks of five rows, a part of the sums is recomputed."""
     monkeypatch.setattr(row_blocks, "ROWS_AT_ONCE", 5)
     campaign, _ = small(4, cycles=5)
-    for k in range(10):  # from lost in noise to what swells every sum
+    for k in range(10):  # from below the noise to larger than all forces
         campaign = with_spike(campaign, k, 3 * k, k, 10.0 ** (k - 4))
     screened, made = screen_campaign(campaign), calibrate(campaign)
     assert len(screened.rejected) == made.rejected >= 6
@@ -172,7 +172,7 @@ def test_rows_that_are_left_out_leave_sums_as_of_the_rest(monkeypatch):
     assert (rest.rejected, rest.invalid) == (0, made.rejected)
 
 
-def test_distances_and_the_actuator_that_stands_out():
+def test_distances_and_the_most_deviating_actuator():
     arms, random = arms_of(LAYOUT), np.random.default_rng(16)
     s, weight = (arms * 1e-6) @ arms.T, random.uniform(1, 4, 14)
     rho = (0.05 * np.eye(14)) @ arms.T  # a spike of each actuator in turn

@@ -1,4 +1,4 @@
-"""A load that is put on again stands elsewhere: named, taken out, and the scale is as good."""
+"""A load that was removed and mounted again at another position is reported and corrected."""
 
 from dataclasses import replace
 
@@ -13,13 +13,13 @@ from truenewton.mirrors.shell.shell_model import forces_under, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
 
-ANEW = "load repositioned between files"
+NAME = "load repositioned between files"
 MIRROR = replace(p45(), weight_error=0.0)
 LOADS = (Load("bare"), Load("ring", -0.289, 0.0, tool="ring"))
 
 
-def put_on_again(seed, noise, scatter=0.3e-3):
-    """Return a campaign whose ring is put on anew, off centre by so much, for its last cycle."""
+def remounted(seed, noise, scatter=0.3e-3):
+    """Return a campaign whose ring is remounted off centre for its last cycle, and its alpha."""
     bench = static_bench(MIRROR, seed, loads=LOADS, force_noise=noise)
     random = np.random.default_rng(seed)
     here, there = (
@@ -38,13 +38,13 @@ def put_on_again(seed, noise, scatter=0.3e-3):
     ("noise", "seeds"),
     [(1e-4, 2), *(pytest.param(n, 4, marks=pytest.mark.study) for n in (1e-4, 1e-5))],
 )
-def test_alpha_is_as_good_as_with_one_mounting(noise, seeds):
+def test_alpha_is_almost_as_accurate_as_with_one_mounting(noise, seeds):
     ratio, pull = [], []
     for seed in range(1, 1 + seeds):
-        campaign, alpha = put_on_again(seed, noise)
+        campaign, alpha = remounted(seed, noise)
         found = tn.calibrate(campaign)
-        assert [(effect.name, effect.corrected) for effect in found.effects] == [(ANEW, True)]
-        once = tn.calibrate(put_on_again(seed, noise, 0.0)[0])
+        assert [(effect.name, effect.corrected) for effect in found.effects] == [(NAME, True)]
+        once = tn.calibrate(remounted(seed, noise, 0.0)[0])
         assert not once.effects
         ratio.append(np.sum((found.alpha - alpha) ** 2) / np.sum((once.alpha - alpha) ** 2))
         pull.append(np.mean(((found.alpha - alpha) / found.statistical_error) ** 2))
@@ -52,7 +52,7 @@ def test_alpha_is_as_good_as_with_one_mounting(noise, seeds):
     assert np.mean(pull) < 1.5
 
 
-def test_zeros_that_move_the_sum_as_well_are_not_taken_for_it():
+def test_zeros_with_a_net_force_are_not_taken_for_a_repositioned_load():
     bench = static_bench(MIRROR, 2, loads=LOADS, force_noise=1e-4)
     random = np.random.default_rng(2)
     campaign = Campaign(tuple(run_cycles(bench, 4)))

@@ -26,7 +26,7 @@ def test_every_code_has_one_entry_and_a_name_or_a_sentence():
 
 
 @pytest.mark.parametrize("code", EFFECTS)
-def test_a_name_without_code_is_read_as_the_code_that_wrote_it(code):
+def test_a_name_without_code_is_read_as_its_code(code):
     detail = "FORCE" if "{}" in ENTRIES[code].name else ""
     assert read_name(Finding(code=code, detail=detail, remedy="").name) == (code, detail)
 
@@ -48,8 +48,8 @@ def test_names_of_earlier_files(name, code, detail):
     assert Finding(code=code, detail=detail, remedy="").name.startswith(name)
 
 
-def test_no_control_flow_depends_on_the_words_of_a_finding():
-    """The name of a finding is written and printed; what follows from it follows from its code."""
+def test_no_control_flow_depends_on_the_name_of_a_finding():
+    """Names are only printed; decisions depend on codes."""
     compared = re.compile(r"(effect|finding|each|e|one)\.name( ==| in |\.startswith|\.endswith)")
     found = [
         f"{path.name}: {line.strip()}"
@@ -72,9 +72,7 @@ def found():
     )  # fmt: skip
 
 
-def test_a_file_keeps_findings_and_one_without_codes_gives_the_same(
-    p45_calibration, found, tmp_path
-):
+def test_findings_are_read_from_files_with_and_without_codes(p45_calibration, found, tmp_path):
     path, earlier = tmp_path / "alpha.fits", tmp_path / "earlier.fits"
     replace(p45_calibration, effects=found).write(path)
     assert tn.read(path).effects == found
@@ -86,12 +84,12 @@ def test_a_file_keeps_findings_and_one_without_codes_gives_the_same(
         hdus.writeto(earlier, checksum=True)
     read = tn.read(earlier)
     assert [each.code for each in read.effects] == [each.code for each in found]
-    assert [each.actuators for each in read.effects] == [(), (5,), ()]  # a place names one alone
+    assert [each.actuators for each in read.effects] == [(), (5,), ()]  # read if there is only one
     assert str(read.verdict) == str(tn.read(path).verdict)
     np.testing.assert_array_equal(read.alpha, p45_calibration.alpha)
 
 
-def test_a_code_of_a_newer_version_is_kept_by_its_name(p45_calibration, found, tmp_path):
+def test_an_unknown_code_of_a_newer_version_keeps_its_name(p45_calibration, found, tmp_path):
     path = tmp_path / "alpha.fits"
     replace(p45_calibration, effects=found).write(path)
     with fits.open(path) as hdus:
@@ -108,7 +106,7 @@ def test_levels_are_ordered_and_read_from_earlier_files():
     assert tn.Level.read("not to be used") is tn.Level.REJECTED
 
 
-def test_a_corrected_effect_is_usable_and_the_same_one_left_in_is_not():
+def test_a_corrected_effect_is_usable_and_an_uncorrected_one_is_not():
     left_in = Finding(code=Code.GAIN_BY_HOUR, remedy="let it warm up")
     assert left_in.level is tn.Level.DOUBTFUL
     assert replace(left_in, corrected=True).level is tn.Level.USABLE
@@ -123,7 +121,7 @@ WARNINGS = (
 )  # fmt: skip
 
 
-def test_a_file_keeps_warnings_with_their_values_and_cause(p45_calibration, tmp_path):
+def test_warnings_are_read_with_their_values_and_cause(p45_calibration, tmp_path):
     path, earlier = tmp_path / "alpha.fits", tmp_path / "earlier.fits"
     diagnosis = replace(p45_calibration.diagnosis, warnings=WARNINGS)
     replace(p45_calibration, diagnosis=diagnosis).write(path)

@@ -1,4 +1,4 @@
-"""The systems C, D and E, against the paper's eqs. 3 and 4 written out element by element."""
+"""The systems C, D and E compared with eqs. 3 and 4 of the paper, element by element."""
 
 import importlib
 import pkgutil
@@ -15,7 +15,7 @@ from truenewton.statics.arms import enabled_arms
 
 
 def paper_e(campaign):
-    """Eq. 4 as it stands in the paper, one element at a time."""
+    """Return eq. 4 of the paper, computed element by element."""
     x, y, nz = campaign.layout.x, campaign.layout.y, campaign.layout.nz
     on = np.flatnonzero(campaign.layout.enabled)
     loads = list(campaign.loads)
@@ -44,7 +44,7 @@ def paper_e(campaign):
     return np.array(rows), np.array(right)
 
 
-def test_e_is_the_papers_element_by_element():
+def test_e_equals_that_of_the_paper_in_each_element():
     campaign = three_loads(seed=1, noise=1e-3, disabled=(3,), invalid=(2, 5))
     e, r = system_e(campaign, enabled_arms(campaign.layout))
     by_hand, right = paper_e(campaign)
@@ -84,7 +84,7 @@ def test_true_alpha_solves_d_under_every_load():
         assert q[2 * shapes :] == pytest.approx(np.full(shapes, -torque_x), rel=1e-15)
 
 
-def test_unknowns_of_p45_stand_as_the_paper_has_them():
+def test_unknowns_of_p45_have_the_order_of_the_paper():
     unknowns = Unknowns(45, 2, weight_errors=3)
     assert (unknowns.count, unknowns.total) == (50, 53)  # paper, section 3: 50 elements
     order = np.arange(unknowns.total)
@@ -111,7 +111,7 @@ def test_every_name_in_the_table_of_the_papers_equations_exists():
                 assert hasattr(module, name), line
 
 
-def test_every_file_of_the_method_has_its_line():
+def test_every_module_of_the_method_is_listed():
     listed = set(re.findall(r"^    (\w+)  ", estimation.__doc__, flags=re.MULTILINE))
     files = {info.name for info in pkgutil.iter_modules(estimation.__path__)}
     assert listed == files

@@ -1,4 +1,4 @@
-"""What makes data insufficient is named, with noise as without: noise fills null spaces."""
+"""Insufficient data are refused with the reason, also if noise fills the null space."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ NOISES = [0.0, 1e-4, 1e-3]
 
 
 def refusal(campaign):
-    """Return the fault of which both methods refuse a campaign."""
+    """Return the reason for which both methods refuse a campaign."""
     faults = set()
     for method in ("svd", "ml"):
         with pytest.raises(RankDeficient) as refused:
@@ -48,13 +48,13 @@ INSUFFICIENT = {
 
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("fault", INSUFFICIENT)
-def test_insufficient_data_are_refused_by_name(fault, noise):
+def test_insufficient_data_are_refused_with_the_reason(fault, noise):
     assert fault in refusal(INSUFFICIENT[fault](noise))
 
 
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("cycles", [1, 2])
-def test_forty_five_shapes_out_of_ten_modes_are_dependent(noise, cycles):
+def test_forty_five_shapes_from_ten_modes_are_insufficient(noise, cycles):
     mixture = np.random.default_rng(0).standard_normal((45, 10)) / 5
     shapes = mixture @ p45_bench().shapes[3:13]
     said = refusal(p45_shapes(shapes, noise, cycles))
@@ -62,16 +62,16 @@ def test_forty_five_shapes_out_of_ten_modes_are_dependent(noise, cycles):
     assert "patterns of alpha left to noise" in said
 
 
-def test_two_thirds_of_the_modes_suffice_and_alpha_is_right():
-    """Three equations a shape: n / 3 patterns can do, and thirty of forty-two do."""
+def test_two_thirds_of_the_modes_suffice():
+    """A shape has three equations, so that n / 3 shapes can suffice; here 30 of 42 modes do."""
     bench = ungraded(static_bench(p45(), seed=1, force_noise=0.0))
     campaign = p45_shapes(bench.shapes[3:33], 0.0)
     scale = bench.loads[1].added / bench.truth.added[1]
     assert calibrate(campaign, "svd").alpha == pytest.approx(scale * bench.truth.alpha, rel=1e-7)
 
 
-def test_a_line_and_one_beside_it_are_a_conic_that_leaves_alpha_free():
-    """v = x is 0 on the line x = 0 and 1 on the lone one: v, x v and y v are x, x and x / 2."""
+def test_a_line_and_one_actuator_beside_it_are_a_degenerate_conic():
+    """v = x is 0 on the line x = 0 and 1 at the last actuator: v, x v, y v are x, x, x / 2."""
     y = np.array([-1.0, 0.0, 1.0, 0.5])
     x = np.array([0.0, 0.0, 0.0, 1.0])
     a = np.array([np.ones(4), x, y])

@@ -1,4 +1,4 @@
-"""The paper's method, against LAPACK on the explicit system, Monte Carlo and finite differences."""
+"""The paper's method compared with LAPACK, Monte Carlo and finite differences."""
 
 from dataclasses import replace
 from functools import partial
@@ -38,7 +38,7 @@ def test_svd_equals_lapack_least_squares_on_the_explicit_system(campaign):
 
 
 @pytest.mark.parametrize(("disabled", "invalid"), [((), ()), ((2, 7), ()), ((), (0, 3))])
-def test_without_noise_everything_comes_back_from_what_takes_part(disabled, invalid):
+def test_all_unknowns_are_exact_without_noise(disabled, invalid):
     campaign, truth = campaign_of(seed=5, noise=0.0, disabled=disabled, invalid=invalid)
     calibration = calibrate(campaign)
     assert solution(calibration) == pytest.approx(truth, abs=1e-12)
@@ -49,8 +49,8 @@ def test_without_noise_everything_comes_back_from_what_takes_part(disabled, inva
 
 
 @pytest.mark.study
-def test_stated_scatter_is_the_scatter_over_campaigns():
-    """E_STAT against 300 campaigns that share their truth: seeded, both sides within 10 %."""
+def test_the_stated_error_is_the_scatter_over_campaigns():
+    """E_STAT is compared with the scatter of 300 campaigns with the same truth."""
     alphas, stated = [], []
     quiet, _ = campaign_of(seed=12, noise=0.0, cycles=4)
     for k in range(300):
@@ -64,7 +64,7 @@ def test_stated_scatter_is_the_scatter_over_campaigns():
     assert np.all(np.abs(ratio - 1.0) < 0.2)  # each: 1 / root(2 * 299) = 4 %, five sigma
 
 
-def test_weights_propagate_as_finite_differences_do():
+def test_errors_of_weights_propagate_as_by_finite_differences():
     campaign = three_loads(seed=13, noise=1e-3)
     expected = 0.0
     base = solution(calibrate(campaign))
@@ -84,7 +84,7 @@ def test_weights_propagate_as_finite_differences_do():
     assert found == pytest.approx(expected, rel=2e-5, abs=1e-6 * np.abs(expected).max())
 
 
-def test_loads_with_one_tool_share_its_error_in_proportion():
+def test_errors_of_loads_with_the_same_tool_are_proportional():
     loads = (Load("bare"), RING, Load("two rings", -0.578, 0.010, tool="ring A"))
     campaign, _ = campaign_of(seed=14, noise=0.0, loads=loads)
     errors = {str(e): change.tolist() for e, change in weight_errors(campaign).items()}
@@ -103,8 +103,8 @@ def test_the_papers_error_is_three_sigma_of_the_mean_over_cycles():
     for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
         one = Campaign((cycle,))
         e, r = system_e(one, enabled_arms(campaign.layout))
-        held = np.concatenate([[values[n]], values[n + 1 + 2 * place : n + 3 + 2 * place]])
-        alphas.append(np.linalg.lstsq(e[:, :n], r - e[:, n:] @ held, rcond=None)[0])
+        fixed = np.concatenate([[values[n]], values[n + 1 + 2 * place : n + 3 + 2 * place]])
+        alphas.append(np.linalg.lstsq(e[:, :n], r - e[:, n:] @ fixed, rcond=None)[0])
     expected = 3 * np.std(alphas, axis=0, ddof=1) / np.sqrt(6)
     assert calibration.cycle_error == pytest.approx(expected, rel=1e-9)
 
@@ -116,8 +116,8 @@ def test_solve_refuses_a_singular_matrix_and_too_few_equations():
         solve(np.ones((1, 2)), np.ones(1))
 
 
-def test_the_bias_to_first_order_is_the_bias():
-    """Mean of 200 campaigns that share their truth; where it matters the result warns of it."""
+def test_the_first_order_bias_agrees_with_simulations():
+    """The bias is the mean of 200 campaigns. If it matters, the result contains a warning."""
     quiet, truth = campaign_of(seed=21, noise=0.0, cycles=4)
     solutions, predicted = [], []
     n = quiet.layout.n
@@ -129,14 +129,14 @@ def test_the_bias_to_first_order_is_the_bias():
     measured = (np.mean(solutions, axis=0) - truth)[:n]
     error = (np.std(solutions, axis=0) / np.sqrt(200))[:n]
     expected = np.mean(predicted, axis=0)[:n]
-    assert np.abs(expected).max() > 5 * error.max()  # it can be seen
+    assert np.abs(expected).max() > 5 * error.max()  # significant
     assert np.all(np.abs(measured - expected) < 5 * error + 0.1 * np.abs(expected).max())
     [warning] = calibrate(campaign).diagnosis.warnings
     assert warning.code in ("svd-bias", "svd-bias-large")
     assert calibrate(campaign_of(seed=21, noise=1e-6)[0]).diagnosis.warnings == ()
 
 
-def test_a_cycle_that_was_broken_off_does_not_spoil_the_papers_error():
+def test_an_interrupted_cycle_hardly_changes_the_papers_error():
     campaign, _ = campaign_of(seed=22, noise=1e-3, cycles=3)
     broken = changed(campaign, valid=lambda k, c: c.valid & ((k > 0) | (np.arange(28) < 4)))
     whole, short = calibrate(campaign), calibrate(broken)

@@ -1,4 +1,4 @@
-"""Where displacements count from: one reading of each sensor for a campaign, unless zeros jump."""
+"""Reference of displacements: one reading per sensor for a campaign, unless zeros are reset."""
 
 from dataclasses import replace
 
@@ -15,18 +15,18 @@ from truenewton.records.campaign import Campaign
 from truenewton.report.findings import investigate
 from truenewton.statics.arms import enabled_arms
 
-MOVED = 3e-8  # between cycles [m], by 600 /m 2e-5 of alpha
+MOVED = 3e-8  # between cycles [m]; changes alpha by 2e-5 at 600 /m
 
 
 def shifted(campaign, zeros):
-    """Return the campaign with (cycles, n) or (n,) other zeros of its sensors."""
+    """Return the campaign with sensor zeros changed by (cycles, n) or (n,)."""
     zeros = np.broadcast_to(zeros, (len(campaign.cycles), 14))
     return changed(campaign, position=lambda k, c: c.position + zeros[k])
 
 
-def test_rest_and_stroke_are_mean_and_deviation():
+def test_rest_position_is_the_mean_and_stroke_the_rms():
     campaign, _ = gradients(seed=1, noise=0.0, offset=1.0)
-    cycle = replace(campaign.cycles[0], valid=np.arange(28) != 5)  # shape 6 has lost its opposite
+    cycle = replace(campaign.cycles[0], valid=np.arange(28) != 5)  # shape 6 has no opposite
     rest = np.delete(cycle.position, [5, 19], 0).mean(axis=0)
     assert cycle.rest_position == pytest.approx(rest, abs=1e-15)
     apart = np.delete(cycle.position, 5, 0) - cycle.rest_position
@@ -37,20 +37,20 @@ def test_rest_and_stroke_are_mean_and_deviation():
     assert alone.rest_position == pytest.approx(alone.position[:14].mean(axis=0), abs=1e-15)
 
 
-def test_a_glass_that_rests_elsewhere_under_each_load_leaves_alpha_exact():
-    """The equations of the file contract make the forces; the mean place of the cycles is z = 0."""
+def test_alpha_is_exact_if_the_rest_position_depends_on_the_load():
+    """Forces follow the equations of the file contract. The mean position of cycles is z = 0."""
     campaign, alpha = gradients(seed=10, noise=0.0, offset=1e-4, moved=MOVED)
     found = calibrate(campaign)
     assert found.alpha == pytest.approx(alpha, abs=1e-9)
     assert found.bias_force == pytest.approx(BIAS, abs=1e-8)
     assert np.abs(calibrate(changed(campaign, position=None)).alpha - alpha).max() > 1e-5
     own = calibrate(shifted(campaign, [-c.rest_position for c in campaign.cycles]))
-    assert np.abs(own.alpha - alpha).max() > 1e-6  # were each cycle taken by itself
+    assert np.abs(own.alpha - alpha).max() > 1e-6  # if each cycle had its own reference
 
 
 @pytest.mark.parametrize("which", [slice(0, 4), slice(2, 6)])
-def test_alpha_and_bias_are_those_of_the_mean_place(which):
-    """alpha (1 + 600 z) there; to second order, 600 z times 600 times a stroke. B + 31 N/m z."""
+def test_alpha_and_bias_refer_to_the_mean_position(which):
+    """There they are alpha (1 + 600 z) and B + 31 N/m z, except for terms of second order."""
     campaign, alpha = gradients(seed=9, noise=0.0, offset=0.0, moved=MOVED)
     some = Campaign(campaign.cycles[which])  # three cycles of one load, one of the other
     z = np.mean([c.rest_position for c in some.cycles], axis=0)
@@ -62,14 +62,14 @@ def test_alpha_and_bias_are_those_of_the_mean_place(which):
     assert found.bias_force == pytest.approx(BIAS + more, abs=0.1 * abs(more))
 
 
-def test_one_offset_of_each_sensor_changes_nothing():
+def test_constant_sensor_offsets_do_not_change_alpha():
     campaign, _ = gradients(seed=9, noise=1e-5, offset=0.0, moved=MOVED)
     far = shifted(campaign, np.random.default_rng(1).standard_normal(14))
     assert calibrate(far).alpha == pytest.approx(calibrate(campaign).alpha, abs=1e-11)
 
 
-def test_zeros_set_anew_with_each_file_are_taken_out():
-    """Then each cycle counts from its own mean, as if this were 0 in every file; and it is said."""
+def test_zeros_reset_with_each_file_are_corrected():
+    """Each cycle is then referred to its own mean, and a warning is issued."""
     campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, zeros=1e-2)
     assert np.isnan(common_reference(campaign)).all()
     found = calibrate(campaign)
@@ -81,7 +81,7 @@ def test_zeros_set_anew_with_each_file_are_taken_out():
     assert calibrate(restless).alpha == pytest.approx(calibrate(centred).alpha, abs=1e-11)
 
 
-def test_a_sensor_set_anew_leaves_the_others_alone():
+def test_a_reset_sensor_does_not_change_the_others():
     campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
     zeros = np.zeros((6, 14))
     zeros[4:, 3] = 5e-6
@@ -94,8 +94,8 @@ def test_a_sensor_set_anew_leaves_the_others_alone():
 
 
 @pytest.mark.parametrize("anew", [0.0, 1e-5])
-def test_a_sensor_that_does_not_move_is_none_set_anew(anew):
-    """Wherever it stands in each file; its own alpha is wrong by 600 z, that of the others not."""
+def test_a_frozen_sensor_is_not_reported_as_reset(anew):
+    """The frozen value may differ by file. Only the alpha of this actuator is wrong, by 600 z."""
     campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
     third = np.arange(14) == 3
     stuck = changed(campaign, position=lambda k, c: np.where(third, anew * k, c.position))
@@ -105,8 +105,8 @@ def test_a_sensor_that_does_not_move_is_none_set_anew(anew):
     assert np.abs(found.alpha - alpha).max() < 600 * MOVED
 
 
-def test_a_cycle_broken_off_early_is_no_new_zero():
-    """Its mean is a displacement where no shape has its opposite."""
+def test_an_interrupted_cycle_is_not_taken_for_a_reset_zero():
+    """If no shape has its opposite, the mean of a cycle is a displacement."""
     campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
     last = campaign.cycles[-1]
     for valid in (np.arange(28) == 2, last.sign > 0):
@@ -123,8 +123,8 @@ def test_without_gradients_there_is_no_common_reference():
         assert not any("zeros of" in fault for fault in faults)
 
 
-def test_repeats_and_residuals_count_from_the_same():
-    """A noiseless cycle of one sign agrees with the others, and balances: its mean is no rest."""
+def test_repeats_and_residuals_have_the_same_reference():
+    """The mean of a cycle with one sign is not a rest position; it still agrees and balances."""
     campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
     half = replace(campaign.cycles[-1], valid=campaign.cycles[-1].sign > 0)
     campaign = Campaign((*campaign.cycles[:-1], half))

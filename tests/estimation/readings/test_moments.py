@@ -1,4 +1,4 @@
-"""Moments: the same however the rows are split, equal to two passes of plain numpy."""
+"""Moments in one pass equal those in two passes, for any order of rows."""
 
 from dataclasses import replace
 from functools import cache
@@ -13,17 +13,17 @@ from truenewton.records.campaign import Campaign
 
 @cache
 def noisy():
-    """Return three cycles a load at 1 mN; an actuator disabled, two rows not valid."""
+    """Return three cycles per load with 1 mN noise, a disabled actuator and two invalid rows."""
     return campaign_of(seed=1, noise=1e-3, cycles=3, disabled=(4,), invalid=(3, 20))[0]
 
 
 def with_repeats_in_a_cycle():
-    """Return a campaign in which shape 1 stands for shape 2 too: four rows of it in each cycle."""
+    """Return a campaign in which shape 2 is labelled 1: four rows of shape 1 in each cycle."""
     return changed(noisy(), shape=lambda _, c: np.where(c.shape == 2, 1, c.shape))
 
 
 def with_noises(campaign, errors):
-    """Return a campaign whose cycles declare these FORCERR in turn."""
+    """Return a campaign whose cycles declare these values of FORCERR in turn."""
     return changed(campaign, force_error=lambda k, _: errors[k % len(errors)])
 
 
@@ -59,7 +59,7 @@ def check(moments, labels, rows, weight, mean, scatter):
 
 
 def in_any_order():
-    """Return a campaign whose rows are shuffled, in each cycle otherwise, some left out."""
+    """Return a campaign with rows in a different random order in each cycle, three omitted."""
     random, names = np.random.default_rng(2), ("shape", "sign", "force", "valid")
 
     def shuffled(cycle):
@@ -80,7 +80,7 @@ def in_any_order():
     ],
     ids=["plain", "repeated", "in any order", "of unequal noise"],
 )
-def test_moments_are_those_of_two_passes(made, weights):
+def test_moments_equal_those_of_two_passes(made, weights):
     campaign = made()
     moments = campaign_moments(campaign)
     check(moments, *two_passes(campaign, weights))

@@ -1,4 +1,4 @@
-"""How often the rows of a campaign are read: once for screening, once for all that is told."""
+"""Rows of a campaign are read twice: once for screening, and once for all results."""
 
 import pytest
 
@@ -17,7 +17,7 @@ from truenewton.report.findings import investigate
 
 @pytest.fixture
 def passes(monkeypatch):
-    """Return a function that counts the rows of FORCE read by a step, over those there are."""
+    """Return a function that counts rows of FORCE read by a step, per row of the campaign."""
 
     def counted(campaign, step):
         forces, taken = {id(c.force) for c in campaign.cycles}, []
@@ -44,7 +44,7 @@ def campaign():
     return Campaign(tuple(run_cycles(static_bench(p45(), 1), 4)))
 
 
-def test_rows_of_a_sound_campaign_are_read_twice_whatever_is_asked(campaign, passes):
+def test_every_command_reads_the_rows_of_a_sound_campaign_twice(campaign, passes):
     calibration = calibrate(campaign)
     assert passes(campaign, calibrate) == 2.0
     assert passes(campaign, investigate) == 2.0
@@ -54,7 +54,7 @@ def test_rows_of_a_sound_campaign_are_read_twice_whatever_is_asked(campaign, pas
     assert passes(campaign, lambda data: recalibrate(data, calibration, [17])) == 2.0
 
 
-def test_of_rows_left_out_only_the_blocks_are_read_again(passes, monkeypatch):
+def test_only_blocks_with_rejected_rows_are_read_again(passes, monkeypatch):
     monkeypatch.setattr(rows_of_groups, "ROWS_AT_ONCE", 4)  # of 56 groups
     sound, _ = campaign_of(seed=3, noise=1e-4, cycles=4)
     campaign = with_spike(sound, 2, 9, 5, 0.05)

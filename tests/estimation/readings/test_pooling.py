@@ -1,4 +1,4 @@
-"""Rows pooled over loads and signs: U by its definition, sums by U, fits by the truth."""
+"""Rows pooled over loads and signs: the basis U, sums computed with U, and fits."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ KINDS = ["plain", "three loads", "one sign", "missing", "unbalanced", "one sign 
 
 
 def noiseless(kind):
-    """Return a small campaign without noise of a kind, and its bench."""
+    """Return a small noiseless campaign of some kind, and its bench."""
     bench = SmallBench(3, 0.0, order=(0, 0, 1, 1, 2, 2) if kind == "three loads" else (0, 0, 1, 1))
     if kind == "sizes":
         bench.size = np.where(bench.load == 1, 1.04, 1.0)
@@ -59,7 +59,7 @@ def columns(labels, size):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kind):
+def test_the_basis_is_orthonormal_and_spans_the_columns_of_x(kind):
     random = np.random.default_rng([KINDS.index(kind), 1])
     labels, weight, size = groups_of(kind, random)
     pooling = over_loads_and_signs(labels, weight, size)
@@ -67,7 +67,7 @@ def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kin
     x = columns(labels, size) * on[:, None]
     assert u.T @ (weight[:, None] * u) == pytest.approx(np.eye(pooling.count), abs=1e-12)
     assert pooling.count == np.linalg.matrix_rank(x)
-    # All of X lies in U, and of U nothing elsewhere, since their ranks are the same.
+    # U spans X, and only X, because their ranks are equal.
     assert u @ (u.T @ (weight[:, None] * x)) == pytest.approx(x, abs=1e-12)
     assert not u[~on].any()
     assert pooling.squared_lengths == pytest.approx(np.sum(u**2, axis=1), abs=1e-12)
@@ -78,7 +78,7 @@ def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kin
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
-def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
+def test_pooled_rows_contain_all_information_of_noiseless_campaigns(kind):
     campaign, bench = noiseless(kind)
     moments = replace(screen_campaign(campaign).moments, pooled=True)
     pooling = moments.pooling
@@ -90,7 +90,7 @@ def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
 
 
 @pytest.mark.parametrize("pooled", [False, True])
-def test_sums_are_those_of_the_rows(pooled):
+def test_sums_equal_those_of_rows(pooled):
     bench = SmallBench(4, 1e-3, order=(0, 0, 0, 1, 2))
     campaign = changed(bench.campaign(), bias_gradient=31.0)
     moments = replace(campaign_moments(campaign), pooled=pooled)
@@ -114,8 +114,8 @@ def test_sums_are_those_of_the_rows(pooled):
 
 @pytest.mark.study
 @pytest.mark.parametrize("kind", ["plain", "one sign under a load", "unbalanced"])
-def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kind):
-    """Of 14 shapes the groups of two signs and two loads say four times the same."""
+def test_errors_from_pooled_rows_are_valid_and_smaller_than_without(kind):
+    """Groups of 14 shapes, with two signs and two loads, are four-fold redundant."""
     z, ratio = [], []
     for seed in range(30):
         bench = SmallBench([seed, 7], 1e-2, order=(0, 0, 0, 1) if kind == "unbalanced" else (0, 1))
@@ -144,10 +144,10 @@ def resized(has_position):
     return bench
 
 
-def test_sizes_of_shapes_come_from_the_displacements():
+def test_amplitudes_of_shapes_are_estimated_from_displacements():
     bench = resized(has_position=True)
     campaign = bench.campaign()
-    # Sensors count from zeros of their own, which the mean over the shapes takes out.
+    # Sensor zeros are removed with the mean over the shapes.
     zeros = changed(campaign, position=lambda _, c: c.position + 1e-5 * np.arange(14))
     for data in (campaign, zeros):
         moments = screen_campaign(data).moments
@@ -160,13 +160,13 @@ def test_sizes_of_shapes_come_from_the_displacements():
     assert np.mean(np.abs(calibration.alpha - bench.alpha) < 2.5 * calibration.error) > 0.9
 
 
-def test_without_displacements_shapes_of_another_size_are_not_pooled():
+def test_shapes_of_unequal_amplitude_are_not_pooled_without_position():
     bench = resized(has_position=False)
     screened = screen_campaign(bench.campaign())
     assert not screened.moments.pooled
     assert screened.structure.probability < 1e-10
     found = calibrate(bench.campaign())
-    # Whether the gain or the shapes differ nobody can tell: it is said, and alpha is not moved.
+    # Gain and amplitude are degenerate: the effect is reported, but alpha is not corrected.
     assert [(effect.name, effect.corrected) for effect in found.effects] == [
         ("gain by load", False)
     ]
@@ -174,26 +174,26 @@ def test_without_displacements_shapes_of_another_size_are_not_pooled():
     assert np.mean(error < 1.96) > 0.9
 
 
-def test_the_structure_is_the_sum_of_what_is_left():
+def test_the_chi2_of_structure_is_the_sum_of_squared_residuals():
     campaign = SmallBench(11, 1e-3).campaign()
     moments = campaign_moments(campaign)
     noise = reading_noise(campaign, moments)
     x = columns(moments.labels, np.ones(2))
     root = np.sqrt(moments.weight)[:, None]
     basis = scipy.linalg.orth(x * root)
-    left = moments.mean * root - basis @ (basis.T @ (moments.mean * root))
+    residual = moments.mean * root - basis @ (basis.T @ (moments.mean * root))
     structure = structure_of(moments, noise, ())  # no samples: all readings are independent
     assert structure.degrees_of_freedom == (56 - 17) * 14
     bias = 1 - 2 / moments.repeats
-    assert structure.chi2 == pytest.approx(bias * np.sum(left**2 / noise.variance), rel=1e-9)
+    assert structure.chi2 == pytest.approx(bias * np.sum(residual**2 / noise.variance), rel=1e-9)
 
 
-def test_readings_that_move_together_count_as_fewer():
+def test_the_effective_number_of_correlated_readings_is_smaller():
     random = np.random.default_rng(12)
     alone = random.standard_normal((900, 40))
     together = random.standard_normal((900, 3)) @ random.standard_normal((3, 40))
     assert independent_readings((alone,), 40) == pytest.approx(40, rel=0.05)
-    assert independent_readings((alone[:20],), 40) > 30  # of few rows, chance taken out
+    assert independent_readings((alone[:20],), 40) > 30  # corrected for few rows
     scaled = together / np.sqrt(np.mean(together**2, axis=0))
     expected = 40**2 / np.sum((scaled.T @ scaled / 900) ** 2)
     assert independent_readings((together[:500], together[500:]), 40) == pytest.approx(
