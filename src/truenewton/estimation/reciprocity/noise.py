@@ -230,10 +230,7 @@ def _likeliest(
         return np.asarray(each * np.diag(mixed) if alone else each @ mixed)
 
     def stepped(logs: Array) -> tuple[Array, float, Array]:
-        """Return the logarithms of a^2, p^2, the offsets' part and c after a step; their cost.
-
-        And by how much the log likelihood changes with the first two.
-        """
+        """Return log a^2, p^2, the offsets' part and c after a step; cost and gain of the first."""
         size, offsets, sensor = np.exp(logs[:2]), float(np.exp(logs[2])), np.exp(logs[3:])
         each = size[0] * own + size[1] * proportional
         total = by_mixing(each * sensor, mixed)
@@ -253,7 +250,7 @@ def _likeliest(
             np.array([own[:, 0] @ part @ sensor, np.sum((proportional * part) @ sensor)])
             for part in (wanted, had)
         )
-        gain = 0.5 * size * (told - expected)
+        gain = 0.5 * size * (told - expected)  # of the log likelihood
         size = size * np.sqrt(told / expected)
         size = np.maximum(size, max(least, share * size.max()))
         counted = sensor * np.sum(each * had, axis=0) + PRIOR_RESIDUALS
