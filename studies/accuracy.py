@@ -3,11 +3,10 @@
     python -m studies.accuracy [--campaigns 1000] [--noise 1e-3]     P45, all methods
     python -m studies.accuracy --mirror 336 [--campaigns 20]         336 actuators on rings, ml
 
-Every campaign has its own noise and its own true weights, drawn about the declared ones within
-their declared errors. Two loads fix no more than the difference of their weights, so alpha is in
-proportion to Q: alpha times true Q over declared Q is what would have been found had the weights
-been known, and shows what the readings alone do. The bound is computed here, from the noiseless
-truth and the explicit Jacobian of every shape.
+Every campaign has its own noise and true weights, drawn from the declared weights and their errors.
+Two loads determine only the difference of their weights, so alpha is proportional to Q. Alpha times
+true Q / declared Q is therefore the estimate with known weights; its error is that of the readings.
+The bound is computed from the noiseless truth and the explicit Jacobian of every shape.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A bench at the declared weights, and what an error of each weight does to it.
+    """A bench with the declared weights, and the effect of an error of each weight.
 
     Attributes
     ----------
@@ -47,9 +46,9 @@ class Simulation:
     loads
         The loads with their errors.
     weight_error
-        Of the mirror's weight [N].
+        Error of the mirror's weight [N].
     elastic
-        (rows, n) noiseless commanded forces of the shapes alone.
+        (rows, n) noiseless commanded forces of the shapes, without load forces [N].
     changes
         (errors, L, n) change of the load forces by one standard uncertainty of each weight [N].
     """
@@ -62,7 +61,7 @@ class Simulation:
 
     @property
     def alpha(self) -> Array:
-        """(n,) the truth."""
+        """(n,) true alpha."""
         return self.bench.truth.alpha
 
     def noiseless(self, load_force: Array) -> Array:
@@ -71,7 +70,7 @@ class Simulation:
 
 
 def simulation(mirror: Mirror, loads: Sequence[tn.Load], noise: float) -> Simulation:
-    """Build the bench once for all campaigns: the forces are linear in the weights."""
+    """Return the bench for all campaigns, whose forces are linear in the weights."""
     exact = replace(mirror, weight_error=0.0)
     sure = [replace(load, added_error=0.0) for load in loads]
 
@@ -99,13 +98,13 @@ def simulation(mirror: Mirror, loads: Sequence[tn.Load], noise: float) -> Simula
 def campaigns(
     simulated: Simulation, cycles: int, count: int
 ) -> Iterator[tuple[tn.Campaign, float]]:
-    """Yield campaigns, each with true Q over declared Q of the last load."""
+    """Yield campaigns, each with true Q / declared Q of the last load."""
     bench, layout = simulated.bench, simulated.bench.mirror.layout
     rows, n = simulated.elastic.shape
     for number in range(count):
         random = np.random.default_rng([SEED, number])
-        wrong = random.standard_normal(len(simulated.changes))
-        load_force = bench.load_force + np.tensordot(wrong, simulated.changes, axes=1)
+        weight_deviation = random.standard_normal(len(simulated.changes))
+        load_force = bench.load_force + np.tensordot(weight_deviation, simulated.changes, axes=1)
         exact = simulated.noiseless(load_force)
         reading = exact[:, None] + bench.force_noise * random.standard_normal(
             (len(exact), cycles, rows, n)
@@ -130,16 +129,17 @@ def campaigns(
             for cycle in range(cycles)
         ]
         last = simulated.loads[-1]
-        heavier = (last.added + wrong[-1] * last.added_error) / last.added
+        heavier = (last.added + weight_deviation[-1] * last.added_error) / last.added
         yield tn.Campaign(tuple(made)), heavier
 
 
 def information_of(
     a: Array, alpha: Array, noise: float, shapes: Iterable[Array], beside: Array
 ) -> Array:
-    """Return the information on alpha and what is beside it: the sum of J' S^-1 J over shapes.
+    """Return the information on alpha and m other unknowns: the sum of J' S^-1 J over shapes.
 
-    Of (rows, n) forces under each load, and the derivatives (L, 3, m) of the balance by the rest.
+    ``shapes`` are (rows, n) forces under each load. ``beside`` are the derivatives (L, 3, m) of the
+    balance with respect to the other unknowns.
     """
     root = np.linalg.inv(np.linalg.cholesky((a * alpha * noise**2) @ (a * alpha).T))
     n, total = len(alpha), len(alpha) + beside.shape[-1]
@@ -154,10 +154,10 @@ def information_of(
 
 
 def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
-    """Return the Cramer-Rao bounds of alpha, (n,): the weights known, and measured as declared.
+    """Return the (n,) Cramer-Rao bounds of alpha, for known weights and for weights with errors.
 
-    The true forces of every shape under every load are unknown too; without them the information
-    on alpha, B, the torques and the errors of the weights is the sum of r J' S^-1 J over shapes.
+    The unknown true forces of every shape under every load are eliminated. The information on
+    alpha, B, the torques and the errors of the weights is then the sum of r J' S^-1 J over shapes.
     """
     bench, alpha = simulated.bench, simulated.alpha
     a, n, loads = enabled_arms(bench.mirror.layout), len(alpha), len(simulated.loads)
@@ -168,17 +168,17 @@ def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
     information = cycles * information_of(a, alpha, bench.force_noise, shapes, beside)
     sure = unknowns.count
     known = np.linalg.inv(information[:sure, :sure])
-    # alpha' = (B, torques, alpha) answers a change of the weights by -I^-1 I_w; these are measured.
-    answer = known @ information[:sure, sure:]
-    left = information[sure:, sure:] - information[sure:, :sure] @ answer
-    spread = np.linalg.inv(np.eye(len(errors)) + left)
-    measured = known + answer @ spread @ answer.T
+    # Errors of the weights, which have a prior, change alpha' = (B, torques, alpha) by -I^-1 I_w.
+    response = known @ information[:sure, sure:]
+    reduced = information[sure:, sure:] - information[sure:, :sure] @ response
+    spread = np.linalg.inv(np.eye(len(errors)) + reduced)
+    measured = known + response @ spread @ response.T
     return np.sqrt(np.diag(known)[:n]), np.sqrt(np.diag(measured)[:n])
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a method says of one campaign: (n,) alpha and its errors, NaN where it gives none."""
+    """The result of a method for one campaign: (n,) alpha and errors, NaN if not estimated."""
 
     alpha: Array
     statistical_error: Array
@@ -202,20 +202,20 @@ def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
 
 
 def by_svd(campaign: tn.Campaign) -> Answer:
-    """Solve E alpha' = r as the paper does, torques in N m."""
+    """Solve E alpha' = r as in the paper, with torques in N m."""
     return _least_squares(campaign, enabled_arms(campaign.layout))
 
 
 def by_svd_at_best(campaign: tn.Campaign) -> Answer:
-    """Solve E alpha' = r with each coordinate in units of its RMS."""
+    """Solve E alpha' = r with each coordinate in units of its rms."""
     return _least_squares(campaign, arms_in_units_of_rms(campaign.layout))
 
 
 def by_mixed_total_least_squares(campaign: tn.Campaign) -> Answer:
     """Solve E alpha' = r by total least squares with the columns of B, torques and r exact.
 
-    QR takes the exact columns out; the smallest singular vector of the rest is alpha but for its
-    scale, which the exact columns give back (Golub, Hoffman and Stewart 1987).
+    QR eliminates the exact columns. The smallest singular vector of the rest is alpha except for
+    its scale, which follows from the exact columns (Golub, Hoffman and Stewart 1987).
     """
     a = arms_in_units_of_rms(campaign.layout)
     e, r = system_e(campaign, a)
@@ -225,8 +225,8 @@ def by_mixed_total_least_squares(campaign: tn.Campaign) -> Answer:
     k = exact.shape[1]
     alpha = scipy.linalg.svd(triangle[k : k + n, k:])[2][-1]
     rest = scipy.linalg.solve_triangular(triangle[:k, :k], -triangle[:k, k:] @ alpha)
-    nothing = np.full(n, np.nan)
-    return Answer(alpha / rest[-1], nothing, nothing)
+    missing = np.full(n, np.nan)
+    return Answer(alpha / rest[-1], missing, missing)
 
 
 METHODS: dict[str, Callable[[tn.Campaign], Answer]] = {
@@ -239,7 +239,7 @@ METHODS: dict[str, Callable[[tn.Campaign], Answer]] = {
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Errors of one method: (campaigns, n) errors of alpha and what was claimed of them."""
+    """Errors of one method: (campaigns, n) errors of alpha, and stated errors."""
 
     known: Array  # with the weights known
     whole: Array
@@ -252,7 +252,7 @@ class Errors:
 def run(
     method: Callable[[tn.Campaign], Answer], simulated: Simulation, cycles: int, count: int
 ) -> Errors:
-    """Run a method on the campaigns, which are the same for every method."""
+    """Run a method on the campaigns, the same ones for every method."""
     answers, scales, failures = [], [], []
     for number, (campaign, heavier) in enumerate(campaigns(simulated, cycles, count)):
         if number and number % 100 == 0:
@@ -279,7 +279,7 @@ def rms(values: Array) -> float:
 
 
 def ratio(errors: Array, bound: Array) -> str:
-    """Return RMS error over bound, both over actuators, with its Monte Carlo error."""
+    """Return the ratio of rms error and bound over actuators, with its Monte Carlo error."""
     square = np.mean(errors**2, axis=1)
     value = np.sqrt(square.mean()) / rms(bound)
     if len(square) < 2:
@@ -289,11 +289,11 @@ def ratio(errors: Array, bound: Array) -> str:
     return f"{value:.{digits}f}+-{uncertain:.{digits}f}"
 
 
-def coverage(errors: Array, claimed: Array) -> str:
-    """Return the share of 95 % intervals that hold the truth, with its Monte Carlo error."""
-    if np.isnan(claimed).all():
+def coverage(errors: Array, stated: Array) -> str:
+    """Return the coverage of 95 % intervals, with its Monte Carlo error."""
+    if np.isnan(stated).all():
         return "-"
-    inside = (np.abs(errors) < TWO_SIGMA * claimed).mean(axis=1)
+    inside = (np.abs(errors) < TWO_SIGMA * stated).mean(axis=1)
     uncertain = 100 * inside.std(ddof=1) / np.sqrt(len(inside))
     return f"{100 * inside.mean():.1f}+-{uncertain:.1f}"
 
@@ -304,7 +304,7 @@ WIDTHS = (9, 9, 13, 14, 15, 11, 15, 11)
 
 
 def print_head(first: str) -> None:
-    """Print the heads of the columns."""
+    """Print the column headings."""
     print(f"{'':38s}{'-- weights known (E_STAT) ':-<71s} {'- weights redrawn (E_ALPHA) ':->26s}")
     names = "".join(f"{head:>{width}s}" for head, width in zip(HEADS, WIDTHS, strict=True))
     print(f"{first:30s}{'runs':>8s}{names}")
@@ -350,8 +350,8 @@ def _ring(mirror: Mirror) -> tn.Load:
 def rings336() -> Mirror:
     """Return 336 actuators on the rings of MMT336, a flat shell of 2 mm.
 
-    Radii and counts of the MMT's secondary; weight from the shell and magnets; no bias magnets; a
-    ring of -0.5 N, all uncertainties and alpha within 10 % of 1 are guesses.
+    Radii and counts are those of the MMT's secondary. There are no bias magnets. The ring (-0.5 N),
+    all uncertainties and the range of alpha are guesses.
     """
     radii = [42.1, 73.4, 104.8, 136.1, 167.5, 198.8, 230.1, 261.5, 290.8, 313.1]
     shell = Shell(inner_radius=27.5e-3, outer_radius=321e-3, thickness=2e-3)
@@ -376,7 +376,7 @@ def rings336() -> Mirror:
 
 
 def large_mirror(mirror: Mirror, count: int, noises: Sequence[float]) -> None:
-    """Print what becomes of a large mirror, two cycles, as noise grows."""
+    """Print the errors for a large mirror with two cycles, for increasing noise."""
     print_head("noise, bound, patterns that drown")
     for noise in noises:
         simulated = simulation(mirror, (tn.Load("bare"), _ring(mirror)), noise)

@@ -1,12 +1,12 @@
 """The simulated bench: what it costs, what its noise is worth, which imperfection costs what.
 
 python -m studies.bench                    times of the shell models and of the closed loop
-python -m studies.bench --large 5352       a static bench of the family of rings
+python -m studies.bench --large 5352       a static bench of actuators on rings
 python -m studies.bench --coverage 200     closed-loop campaigns of P45: errors and chi^2
-python -m studies.bench --imperfections 5  what each imperfection costs that is left out
-python -m studies.bench --rings 10         336 actuators on a curved shell, at the loop's noise
-python -m studies.bench --settling         the air film's damping by mode; how long to wait
-python -m studies.bench --tilt 50          coils that move as the mirror leans
+python -m studies.bench --imperfections 5  error caused by each neglected imperfection
+python -m studies.bench --rings 10         336 actuators on a curved shell, noise of the loop
+python -m studies.bench --settling         damping of modes by the air film; waiting time
+python -m studies.bench --tilt 50          coils that shift when the mirror is tilted
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from truenewton.statics.modes import stiffness_modes
 
 
 def timed(what: str, step: Callable[[], object]) -> object:
-    """Run a step and print how long it took, and the peak of memory so far."""
+    """Run a step; print its duration and the peak memory so far."""
     start = time.perf_counter()
     result = step()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
@@ -63,12 +63,12 @@ def timed(what: str, step: Callable[[], object]) -> object:
 
 
 def stiffness(free: RoundShell | MeshedShell, at: Points, sensor: Annulus | None = None) -> Array:
-    """Return force per displacement, as read, of a shell free to move along 1, x, y [N/m]."""
+    """Return force per reading of a shell with free rigid-body motions 1, x, y [N/m]."""
     return condense(free.influence(at, at, sensor), rigid_motions(*at)).stiffness
 
 
 def costs() -> None:
-    """Print times of the shell models and of the loop, and how well the models agree."""
+    """Print times of the shell models and the loop, and the agreement of the models."""
     mirror = lbt672()
     at = mirror.shell.along(mirror.layout.x, mirror.layout.y)
     print("LBT672, stiffness between 672 actuators read by annulus sensors")
@@ -90,33 +90,31 @@ def costs() -> None:
 
 
 def large(n: int) -> None:
-    """Print what a static bench of n actuators costs."""
+    """Print time and memory of a static bench of n actuators."""
     bench = timed(f"static bench of {n} actuators", lambda: static_bench(ring(n), 1))
     most = np.abs(bench.load_force).max()
     print(f"  {len(bench.shapes)} shapes; the flat mirror takes {most:.2g} N an actuator at most")
 
 
 def known(bench: StaticBench) -> np.ndarray:
-    """Return alpha as the declared weight of the ring has it: alpha is in proportion to Q."""
+    """Return alpha for the declared weight of the ring; alpha is proportional to Q."""
     return bench.truth.alpha * bench.loads[1].added / bench.truth.added[1]
 
 
 def at_mean(bench: StaticBench, rest: np.ndarray) -> np.ndarray:
     """Return 1 + COILGRAD z at the mean z of a campaign in closed loop, from (L, n) z of the loads.
 
-    The truth is alpha of the mirror at its nominal gap, but the loop holds it elsewhere under each
-    load. What a campaign finds is alpha at the mean of its cycles, as many under each load; where
-    that is, the loop's equation of rest says (`rest_displacement`), not the sensors.
+    True alpha refers to the nominal gap, but the rest position depends on the load. A campaign
+    measures alpha at the mean position of its cycles, computed from the loop (`rest_displacement`).
     """
     return 1.0 + bench.coils.coil_gradient * rest.mean(axis=0)
 
 
 def coverage(seeds: int) -> None:
-    """Print coverage, errors and chi^2 of closed-loop campaigns of P45, 2 cycles a load.
+    """Print coverage, errors and chi^2 of closed-loop campaigns of P45, 2 cycles per load.
 
-    Against alpha at the campaign's mean position (`at_mean`). chi^2 also as it is where the files
-    declare the true weights: BIASGRAD, taken as exact, weighs too, on the shape that moves all
-    actuators alike.
+    Errors refer to alpha at the campaign's mean position (`at_mean`). chi^2 is also
+    printed for true declared weights: BIASGRAD, assumed exact, fixes the scale through piston.
     """
     inside, outside, sizes, ratio, plain, weighed, rests = [], [], [], [], [], [], []
     for seed in range(seeds):
@@ -157,7 +155,7 @@ def coverage(seeds: int) -> None:
 
 
 def imperfect() -> Iterator[tuple[str, Callable[[StaticBench], StaticBench], dict[str, object]]]:
-    """Yield imperfections: name, what they do to the bench, what the files leave out."""
+    """Yield imperfections: name, change of the bench, and replaced declarations of the files."""
 
     def same(bench: StaticBench) -> StaticBench:
         return bench
@@ -178,7 +176,7 @@ def imperfect() -> Iterator[tuple[str, Callable[[StaticBench], StaticBench], dic
 
 
 def imperfections(seeds: int) -> None:
-    """Print what leaving an imperfection out costs, in closed loop and at 0.1 mN."""
+    """Print the error caused by each neglected imperfection, in closed loop and at 0.1 mN."""
     errors: dict[tuple[str, bool], list[float]] = defaultdict(list)
     sizes: dict[tuple[str, bool], list[float]] = defaultdict(list)
     for bench in (static_bench(p45(), seed) for seed in range(seeds)):
@@ -205,13 +203,13 @@ def imperfections(seeds: int) -> None:
 
 
 def rings(count: int) -> None:
-    """Print how near to its bound ml comes on MMT336, two cycles, at the noise of the loop."""
+    """Print the error of ml relative to its bound on MMT336, with two cycles and loop noise."""
     print("MMT336, curved shell, 2 cycles, ml")
     large_mirror(mmt336(), count, (4e-6, 12e-6, 1e-4))
 
 
 def tilt(seeds: int) -> None:
-    """Print the error of the scale by a tilt of 60 degrees, as the coils move, over that stated."""
+    """Print the error of the scale from a tilt of 60 degrees, relative to the stated error."""
     print(f"P45, bare and leaning by 60 +- 0.1 deg, 2 cycles each, {seeds} seeds from 1000")
     print("  rms error of the scale over that stated; stated error")
     ungraded: dict[str, Any] = {"coil_gradient": None, "bias_gradient": None}
@@ -252,7 +250,7 @@ WAITS = (0.02, 0.05, 0.1, 0.15, 0.2)  # [s]
 
 
 def settling() -> None:
-    """Print what the air film does to P45, closed and with bores, and how long its loop creeps."""
+    """Print the air-film damping of P45, without and with bores, and the settling of its loop."""
     for vent in (0.0, ring(45).vent_radius):
         bench = static_bench(replace(p45(), vent_radius=vent), 1)
         loop, bores = loop_of(bench), f"bores of {1e3 * vent:g} mm" if vent else "no bores"
@@ -274,7 +272,7 @@ def settling() -> None:
 
 
 def left_to_go(bench: StaticBench, loop: Loop) -> Iterator[tuple[float, float, float]]:
-    """Yield waits [s], the most that a reading [m] and the sum of true forces [N] still change."""
+    """Yield waiting times [s], and remaining changes of readings [m] and of the net force [N]."""
     every, alpha = 60, loop.coils.alpha[:, None]
     quiet = only(loop, (), ())
     shapes, load_force = bench.shapes[::5].T, bench.load_force[0][:, None]
@@ -288,7 +286,7 @@ def left_to_go(bench: StaticBench, loop: Loop) -> Iterator[tuple[float, float, f
 
 
 def glass(path: str) -> None:
-    """Draw the singular values of LBT672's model beside those that were measured."""
+    """Draw the singular values of the model of LBT672 and the measured ones."""
     matrix = measured_lbt672()
     mirror = lbt672()
     at = mirror.shell.along(matrix.layout.x, matrix.layout.y)

@@ -2,9 +2,9 @@
 
     python -m studies.closed_loop [--shapes 360] [--figure PNG] [--errors]
 
-P45, recorded from 20 ms after the command on. To the
-noise of a sensor the mirror truly moves, and the glass balances what moves it: so the sum and the
-torques of all true forces are far quieter than those of so many independent readings.
+P45, recorded from 20 ms after the command. The mirror follows sensor noise, and elastic forces of
+the glass balance the forces that move it. Net force and torques of all true forces therefore have
+much less noise than those of independent readings.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SOURCES = {
 
 
 def only(loop: Loop, of_coils: tuple[str, ...], of_sensors: tuple[str, ...]) -> Loop:
-    """Return the loop with these sources of noise and no others."""
+    """Return the loop with these sources of noise only."""
     coils = {name: value for name, value in QUIET_COILS.items() if name not in of_coils}
     sensors = {name: value for name, value in QUIET_SENSORS.items() if name not in of_sensors}
     return replace(
@@ -54,7 +54,7 @@ def rms(values: np.ndarray, axis: int | None = None) -> np.ndarray:
 
 
 def print_noise(loop: Loop, shapes: int) -> None:
-    """Print the table of sources; the flat mirror, bare, again and again."""
+    """Print the noise by source, from repeated records of the flat mirror without added weight."""
     mirror = p45()
     n = mirror.layout.n
     load = np.full((n, shapes), -mirror.weight / n - mirror.bias_force)
@@ -76,10 +76,10 @@ def print_noise(loop: Loop, shapes: int) -> None:
               f"{whole[0]:9.2f} /{apart[0]:5.0f}{whole[1]:10.2f} /{apart[1]:5.1f}")  # fmt: skip
 
 
-STROKE = 0.1e-6  # of the step, at the actuator that moves most [m]
+STROKE = 0.1e-6  # largest displacement of the step [m]
 DURATION = 8e-3  # [s]
-FINER = 1e-6  # than the true steps of DAC and ADC, so that they do not show
-RIGID = 3  # piston and two tilts, the softest of all
+FINER = 1e-6  # DAC and ADC steps relative to the true ones, so that they are negligible
+RIGID = 3  # piston and two tilts are the softest modes
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +89,11 @@ class StepResponses:
     Attributes
     ----------
     time
-        (steps,) since the command [s].
+        (steps,) time since the command [s].
     stiffness
-        (3,) of the softest, the median and the stiffest mode that bends the glass [N/m].
+        (3,) stiffness of the softest, the median and the stiffest elastic mode [N/m].
     position
-        (steps, 3) how much of the commanded mode the true displacement holds; 1 is all of it.
+        (steps, 3) amplitude of the mode in the true displacement, relative to the command.
     """
 
     time: Array
@@ -102,7 +102,7 @@ class StepResponses:
 
 
 def step_responses(loop: Loop, stiffness: Array, *, duration: float = DURATION) -> StepResponses:
-    """Step the softest, the median and the stiffest mode of (n, n) K by `STROKE`, without noise."""
+    """Command noiseless steps of the softest, median and stiffest mode of (n, n) K by `STROKE`."""
     found = stiffness_modes(stiffness)
     n = len(stiffness)
     which = [RIGID, (RIGID + n) // 2, n - 1]
@@ -124,10 +124,7 @@ def step_responses(loop: Loop, stiffness: Array, *, duration: float = DURATION) 
 
 
 def settling_time(time: Array, response: Array, band: float) -> Array:
-    """Return when (steps, m) responses come within a band about 1 to stay [s].
-
-    Infinite where they do not within ``time``.
-    """
+    """Return when (steps, m) responses settle within a band about 1 [s]; otherwise infinity."""
     outside = np.abs(response - 1) > band
     last = len(time) - 1 - np.argmax(outside[::-1], axis=0)
     after = np.append(time, np.inf)[last + 1]
@@ -137,15 +134,15 @@ def settling_time(time: Array, response: Array, band: float) -> Array:
 def plot_step_responses(
     time: Array, position: Array, stiffness: Array, ax: Axes | None = None
 ) -> Axes:
-    """Draw how modes of (m,) stiffness answer a step, in units of what was commanded."""
+    """Draw the step responses of modes of (m,) stiffness, relative to the command."""
     with mpl.rc_context(STYLE):
         ax = ax or new_figure(0.72).add_subplot()
         ax.axhspan(0.9, 1.1, color=FAINT, alpha=0.25, linewidth=0)
         ax.axhline(1.0, color=FAINT, linewidth=0.5)
-        # Even in lightness apart, and told apart by their dashes in print.
-        looks = zip(mpl.colormaps[COLOURS](np.linspace(0.0, 0.8, len(stiffness))),
+        # Equal steps of lightness, and different dashes for black-and-white prints.
+        styles = zip(mpl.colormaps[COLOURS](np.linspace(0.0, 0.8, len(stiffness))),
                     ("-", "--", "-.") * len(stiffness), strict=False)  # fmt: skip
-        for response, k, (colour, dashes) in zip(position.T, stiffness, looks, strict=True):
+        for response, k, (colour, dashes) in zip(position.T, stiffness, styles, strict=True):
             power = int(np.floor(np.log10(k)))
             label = rf"${k / 10.0**power:.1f} \times 10^{power}$ N/m"
             ax.plot(1e3 * time, response, color=colour, linestyle=dashes, label=label)
@@ -158,7 +155,7 @@ def plot_step_responses(
 
 
 def print_settling(loop: Loop, glass: np.ndarray) -> None:
-    """Print when steps of modes have settled, in longer steps the pseudo-integrator too."""
+    """Print the settling times of modes; with longer steps they include the pseudo-integrator."""
     steps = step_responses(loop, glass, duration=5e-3)
     print("\nstep of a mode: settled to 10 %, 5 % after")
     for k, position in zip(steps.stiffness, steps.position.T, strict=True):
@@ -167,9 +164,9 @@ def print_settling(loop: Loop, glass: np.ndarray) -> None:
 
 
 def errors_of_means(mirror: Mirror, readings: int) -> tuple[float, float, float]:
-    """Return the error of a mean force [N], RMS over actuators, of one shape read so many times.
+    """Return the rms error of a mean force over actuators, estimated in three ways [N].
 
-    As the readings scatter; by the means of parts of each record; samples taken for independent.
+    By the scatter of readings, by means of parts of each record, and for independent samples.
     """
     bench = static_bench(mirror, 1)
     shapes = np.tile(bench.shapes[2][:, None], (1, readings))
@@ -180,7 +177,7 @@ def errors_of_means(mirror: Mirror, readings: int) -> tuple[float, float, float]
 
 
 def print_errors(readings: int) -> None:
-    """Print what a mean force is worth, in three ways."""
+    """Print the error of a mean force, estimated in three ways."""
     print(f"{readings} readings of 2,048 samples: error of a mean force, uN")
     print(f"{'':12}{'taken again':>14}{'four parts':>14}{'independent':>14}")
     for mirror in (p45(), ring(8)):

@@ -3,15 +3,15 @@
     python -m studies.comparison [--mirror p45] [--seeds 20] [--first 40001]
         [--rejections] [--campaign]
 
-Noise of 0.05 % of the rms element in five laws; alphas change by 0.3 % and sensor gains by 0.2 %,
-at random. In every second pair one alpha changes by -15 %, one coil is reversed, and two sensors
-change by 3 %. Columns: the rms error of the change of alpha, times 1e-4, and relative to the stated
-error; coverage of 95 % intervals of alpha and of sensor gains, with its Monte Carlo error;
-changes found; pairs without such a change in which anything was named or doubtful; the largest
-pattern of the residual; processor seconds. --rejections prints what becomes of new matrices that
-were processed, or measured on other glass, with the coverage of what was not rejected. --campaign:
-the new data are a simulated campaign with POSITION, of one cycle for each load. lbt672 is built on
-the measured matrix where its folder is given.
+The noise is 0.05 % of the rms element, with five noise models. Alphas change by 0.3 % and sensor
+gains by 0.2 %, at random. In every second pair one alpha changes by -15 %, one coil is reversed,
+and two sensors change by 3 %. Columns: the rms error of the change of alpha, times 1e-4, and
+relative to the stated error; coverage of 95 % intervals of alpha and of sensor gains, with its
+Monte Carlo error; changes found; false alarms in pairs without such a change; the largest pattern
+of the residual; processor seconds. --rejections prints the verdicts on new matrices that were
+processed, or measured on other glass, and the coverage if they are accepted. --campaign: the new
+data are a simulated campaign with POSITION, of one cycle for each load. lbt672 uses the measured
+matrix if its folder is given.
 """
 
 import argparse
@@ -30,9 +30,9 @@ from truenewton.statics.arms import arms
 
 LAWS = ("equal", "proportional", "mixed", "by sensor", "by modes")
 LEVEL = 5e-4
-SCATTER = (0.003, 0.002)  # of the changes of alpha and of sensor gains
+SCATTER = (0.003, 0.002)  # standard deviation of the changes of alpha and of sensor gains
 ANOTHER_UNIT = "another unit: alphas from 0.95 to 1.05"
-SOFTEST = 3e-3  # of the largest singular value: the stroke limits softer modes
+SOFTEST = 3e-3  # relative singular value: the stroke limits softer modes
 
 
 def noise(random, k, law, sensors):
@@ -47,7 +47,7 @@ def noise(random, k, law, sensors):
 
 
 def with_glass(exact, stiffer):
-    """Return the true stiffness if the glass at each actuator is stiffer by (n,) shares."""
+    """Return the true stiffness if the glass at each actuator is stiffer by (n,) fractions."""
     size, modes = np.linalg.eigh(exact)
     root = (modes * np.sqrt(np.maximum(size, 0.0))) @ modes.T  # curvatures of a plate
     return root @ ((1.0 + stiffer)[:, None] * root)
@@ -74,7 +74,7 @@ def matrix_and_campaign(mirror, seed, law, *, changed):
     sensors = np.exp(0.7 * random.standard_normal(matrix.layout.n))
     old = matrix.stiffness + noise(random, matrix.stiffness, law, sensors)
     truth = replace(bench.truth, alpha=bench.truth.alpha * ratios[0], seed=seed + 1)
-    # The gain is metre by metre read, which is the inverse of that of a row of readings.
+    # This gain is true displacement per reading; that of a row of readings is its inverse.
     gain = replace(bench.sensors, gain=bench.sensors.gain / ratios[1])
     new = campaign_of(replace(bench, truth=truth, sensors=gain))
     return replace(matrix, stiffness=old), new, ratios, four
@@ -103,7 +103,7 @@ def pair(matrix, exact, seed, law, *, changed, later=None):
 
 
 def covered(c, matrix, ratios):
-    """Return mean square and mean stated square of the errors of alpha, and both coverages."""
+    """Return actual and stated mean square error of alpha, and coverage for alpha and gains."""
     kept, found = np.isin(matrix.layout.id, c.layout.id[c.layout.enabled]), []
     for k, name in enumerate(("alpha", "sensor")):
         ratio, error, changed = (
@@ -156,7 +156,7 @@ def accuracy(drawn, seeds):
 
 
 def processed(matrix, exact, random):
-    """Yield names of faults, the true stiffness of the new matrix, and what was made of it."""
+    """Yield names of faults, the true stiffness of the new matrix, and its processing."""
     n, order = len(exact), random.permutation(len(exact))
     rigid = np.linalg.qr(arms(matrix.layout).T)[0]
     x, y = (each / np.abs(each).max() for each in (matrix.layout.x, matrix.layout.y))
@@ -206,7 +206,7 @@ def rejections(matrix, exact, seeds):
                 levels["rejected"] += 1
                 continue
             levels[str(c.verdict.level)] += 1
-            if name == ANOTHER_UNIT:  # its alpha has no truth to compare with
+            if name == ANOTHER_UNIT:  # there is no true alpha to compare with
                 continue
             shares.append(covered(c, matrix, ratios)[2])
     for name, (levels, shares) in found.items():

@@ -1,7 +1,7 @@
-"""The likelihood of reciprocity written out with all of K among the unknowns, and its bound.
+"""Brute-force likelihood of reciprocity with all elements of K as unknowns, and its bound.
 
-It shares nothing with the method but what the sensors see: the stiffness is fitted by least squares
-at each place, derivatives are differences.
+It shares only the sensor model with the method. The stiffness is fitted by least squares at each
+point, and derivatives are finite differences.
 """
 
 import itertools
@@ -12,7 +12,7 @@ from truenewton.estimation.reciprocity.sensor_model import Values, sensors_at
 
 
 def free_basis(places):
-    """Return (n, n - 3) displacements apart from rigid motions."""
+    """Return (n, n - 3) displacements orthogonal to rigid-body motions."""
     return np.linalg.qr(places.rigid, mode="complete")[0][:, 3:]
 
 
@@ -28,7 +28,7 @@ def shifted(values, vector, kinds):
 
 
 class BruteForce:
-    """E = K_c - D^-1 K H D_g: whitened rows and columns, all of K fitted by least squares.
+    """E = K_c - D^-1 K H D_g, whitened, with K fitted by least squares.
 
     ``rows`` and ``columns`` whiten: rows @ E @ columns has independent elements of variance 1.
     """
@@ -41,7 +41,7 @@ class BruteForce:
         self.pairs = np.array([*itertools.combinations_with_replacement(range(count), 2)]).T
 
     def sides(self, values):
-        """Return what stands left and right of K in the whitened model."""
+        """Return the factors left and right of K in the whitened model."""
         motion = sensors_at(self.places, values, slopes=self.slopes).motion
         return self.rows / values.alpha, motion @ (values.gain[:, None] * self.columns)
 
@@ -58,7 +58,7 @@ class BruteForce:
         return each.reshape(-1, len(i))
 
     def fitted(self, values):
-        """Return the likeliest K at some values, and what it leaves."""
+        """Return the most likely K for given values, and the residual."""
         jacobian = self.stiffness_jacobian(values)
         data = (self.rows @ self.stiffness @ self.columns).ravel()
         best = np.linalg.lstsq(jacobian, data, rcond=None)[0]
@@ -80,7 +80,7 @@ class BruteForce:
         return np.array(made)
 
     def information(self, values, kinds, steps):
-        """Return the information on the unknowns, all of K unknown too."""
+        """Return the information on the unknowns, with K eliminated."""
         best, _ = self.fitted(values)
         columns = []
         for k, step in enumerate(steps):
@@ -90,5 +90,5 @@ class BruteForce:
             columns.append((up - down) / (2 * step))
         jacobian, other = np.stack(columns, axis=1), self.stiffness_jacobian(values)
         basis = np.linalg.qr(other)[0]
-        apart = jacobian - basis @ (basis.T @ jacobian)
-        return apart.T @ apart
+        reduced = jacobian - basis @ (basis.T @ jacobian)
+        return reduced.T @ reduced
