@@ -5,15 +5,15 @@
         [--first 0] [--laws proportional mixed] [--levels .1] [--annular]
 
 The truth is that of a simulated mirror, or FOLDER/lbt672/lbt672-feedforward.fits made symmetric and
-balanced, divided by a known alpha that scatters by 5 %. Noise of .02, .05 and .1 %: in proportion
-to each element, equal in all elements, half of its variance each, or more at some sensors than at
-others (a factor of two each way). Prints the error of alpha, the stated one, how much of the truth
-95 % intervals cover, with the Monte Carlo error of that, the mean of e'C^-1 e over the number of
-patterns (1 where the covariance C is that of the errors e), bad actuators missed, sound ones left
-out, seeds refused, and seeds that `auto` left to `ml`; of the others the rms error of the sensors'
-gains and places over the stated one; with --faults, the same with actuators that
-do not fit, .02 % of noise equal in all elements. --first begins with another seed, --laws and
---levels (%) take some noise only. --annular: a simulated truth stays as annular sensors read it.
+balanced, divided by a known alpha that scatters by 5 %. Noise of 0.02, 0.05 and 0.1 %: proportional
+to each element, equal in all elements, both with half of the variance, or different at each sensor
+(by a factor of two). Prints the rms error of alpha, the stated error, the coverage of 95 %
+intervals with its Monte Carlo error, e'C^-1 e / number of patterns (1 if C is the covariance of the
+errors e), bad actuators missed, sound ones excluded, seeds refused, seeds in which `auto` used
+`ml`, and for the others the ratio of actual and stated rms error of sensor gains and positions.
+--faults: the same with bad actuators and 0.02 % of equal noise. --first: the first seed; --laws,
+--levels (%): a selection of the noise. --annular: the simulated stiffness is that read by annular
+sensors.
 """
 
 import argparse
@@ -46,7 +46,7 @@ def measured_lbt672():
 
 
 def without_polynomial(values, layout, degree=6):
-    """Take a polynomial of x and y out: what is left differs from neighbour to neighbour."""
+    """Return values without a polynomial of x and y, that is differences between neighbours."""
     x, y = (at[layout.enabled] / 0.45 for at in (layout.x, layout.y))
     powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
     terms = np.stack([x**i * y**j for i, j in powers], axis=1)
@@ -54,7 +54,7 @@ def without_polynomial(values, layout, degree=6):
 
 
 def measured_or_made(mirror):
-    """Return the measured LBT672 where its folder is given, else a simulated mirror."""
+    """Return the measured LBT672 if its folder is given, otherwise a simulated mirror."""
     if mirror == "lbt672" and "TRUENEWTON_REAL_DATA" in os.environ:
         return measured_lbt672()
     nominal = tn.mirrors.ring(60) if mirror == "ring60" else getattr(tn.mirrors, mirror)()
@@ -64,7 +64,7 @@ def measured_or_made(mirror):
 
 
 def true_stiffness(matrix):
-    """Return the nearest stiffness that is symmetric and costs no force when moved rigidly."""
+    """Return the nearest symmetric stiffness whose rigid-body motions require no force."""
     k, rigid = matrix.stiffness, np.linalg.qr(arms(matrix.layout).T)[0]
     elastic = np.eye(len(k)) - rigid @ rigid.T
     return elastic @ (0.5 * (k + k.T)) @ elastic
@@ -76,15 +76,15 @@ def noisy(matrix, k, seed, law, level):
     alpha = 1.0 + 0.05 * random.standard_normal(len(k))
     commanded = k / alpha[:, None]
     noise = random.standard_normal(k.shape)
-    share = {"proportional": 1.0, "mixed": 0.5}.get(law, 0.0)
-    noise *= np.sqrt(share * commanded**2 + (1.0 - share) * np.mean(commanded**2))
+    fraction = {"proportional": 1.0, "mixed": 0.5}.get(law, 0.0)
+    noise *= np.sqrt(fraction * commanded**2 + (1.0 - fraction) * np.mean(commanded**2))
     if law == "by sensor":
         noise *= np.exp(0.7 * random.standard_normal(len(k)))
     return alpha, replace(matrix, stiffness=commanded + level * noise)
 
 
 def with_faults(matrix, seed, count, fault):
-    """Return the matrix with bad actuators, fifteen in one sector, and which they are."""
+    """Return the matrix with bad actuators, and their indices; fifteen are in one sector."""
     random, k, n = np.random.default_rng([9, seed]), matrix.stiffness.copy(), matrix.layout.n
     x, y = matrix.layout.x, matrix.layout.y
     distance = np.hypot(x[:, None] - x, y[:, None] - y)
@@ -120,7 +120,7 @@ def with_faults(matrix, seed, count, fault):
 
 
 def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
-    """Return error, stated error, coverage, chi2, bad missed, good left out, if by ml, sensors."""
+    """Return error, stated error, coverage, chi2, missed, falsely excluded, by ml, sensors."""
     sensors = ()
     try:
         screened = screen_matrix(matrix)
@@ -142,7 +142,7 @@ def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
 
 
 def of_sensors(sensors):
-    """Return mean squares of errors over stated ones, of gains and of places: at magnets, all 1."""
+    """Return mean squares of error / stated error of gains and positions; true gains are 1."""
     fitted = [each for each in sensors if each.state == "fitted" and each.gain_error]
     gain = [(each.gain - 1.0) / each.gain_error for each in fitted]
     place = [(each.x / each.x_error, each.y / each.y_error) for each in fitted if each.x_error]
@@ -150,7 +150,7 @@ def of_sensors(sensors):
 
 
 def chi2(error, covariance):
-    """Return e'C^-1 e over the number of patterns; the scale, which is no error, is none."""
+    """Return e'C^-1 e / number of patterns, without the scale, which has no error."""
     values, vectors = np.linalg.eigh(covariance)
     real = values > 1e-9 * values[-1]
     return np.mean((error @ vectors[:, real]) ** 2 / values[real])
@@ -164,8 +164,8 @@ def line(name, rows):
         print(f"  {name:36} refused", flush=True)
         return
     error, stated, covered, square, missed, lost, by_ml, *_ = kept.mean(axis=0)
-    told = kept[kept[:, 6] == 0.0, 7:]
-    sensors = "  ".join(f"{each:5.2f}" for each in np.sqrt(told.mean(axis=0))) if len(told) else ""
+    used = kept[kept[:, 6] == 0.0, 7:]
+    sensors = "  ".join(f"{each:5.2f}" for each in np.sqrt(used.mean(axis=0))) if len(used) else ""
     sure = kept[:, 2].std(ddof=1) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
     print(f"  {name:36} {100 * error:6.3f}  {100 * stated:6.3f}  {100 * covered:5.1f} +-"
           f" {100 * sure:3.1f}  {square:5.2f}  {missed:6.2f}  {lost:5.2f}"

@@ -2,13 +2,14 @@
 
     python -m studies.matrix_grades [--seeds 4] [--first 0] [--method auto ml] [--only sound]
 
-P45 with alpha of 5 % scatter: laws of noise in an exact stiffness, and the shell with annular
-sensors, at their magnets and 0.3 mm off, its glass not given. Columns: the stated error of alpha;
-its rms error in units of that; the share of the imbalance of the columns that one pattern
-explains; how far alpha moves with it, in units of the stated error; the correlation of gains with
-alpha, and in sigma; their gradient in sigma; held-out in terms of fitted imbalance; the grade. At
-the end: sound matrices that are doubtful, and mistakes that are not although alpha is wrong by more
-than twice its error. The measured LBT672 comes last if TRUENEWTON_REAL_DATA names its folder.
+Alpha of P45 scatters by 5 %. The matrices are an exact stiffness with several noise models, and the
+shell with annular sensors, at their magnets or 0.3 mm off, without a sensor model. Columns: stated
+error of alpha; rms error relative to it; fraction of the column imbalance that one pattern
+explains; shift of alpha by this pattern relative to the stated error; correlation of gains with
+alpha, also in sigma; gradient of gains in sigma; ratio of held-out and fitted imbalance; grade. At
+the end: sound matrices that are doubtful, and mistakes that are not, although the error of alpha is
+more than twice the stated one. The measured LBT672 is the last one if TRUENEWTON_REAL_DATA is its
+folder.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
-WRONG = 2.0  # stated errors
+WRONG = 2.0  # rms error of alpha relative to the stated error
 
 
 def sound_matrices(seed):
-    """Yield name, matrix and (n,) true alpha of sound matrices."""
+    """Yield the name, the matrix and (n,) true alpha of sound matrices."""
     made = measured_or_made("p45")
     exact = true_stiffness(made)
     for law in LAWS:
@@ -99,7 +100,7 @@ def mistakes(matrix):
 
 
 def judged(name, matrix, truth, method):
-    """Print a line of a matrix; return its grade and its error in terms of the stated one."""
+    """Print the line of a matrix; return its grade and error / stated error."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

@@ -1,4 +1,4 @@
-"""What the calibration buys: modes and their number with and without it, beside the true ones."""
+"""Errors of modes and of their number, with and without calibration, for a known truth."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 Three = tuple[float, float, float]
-SHARES = np.linspace(0.05, 0.95, 19)  # of the range of a limit
+FRACTIONS = np.linspace(0.05, 0.95, 19)  # of the range of a limit
 
 
 @dataclass(frozen=True)
 class ModesScore:
-    """How far from the truth one gets.
+    """Errors of modes, estimated in three ways.
 
-    Each with alpha = 1 and the measured stiffness made symmetric; with its right singular vectors
-    for the modes, as observatories have them; and calibrated.
+    With alpha = 1 and a symmetrised stiffness; with right singular vectors as modes, as used at
+    observatories; and calibrated.
 
     Attributes
     ----------
     distance
-        Of the stiffness modes from the true ones [rad], see `compare_modes`.
+        Distance of the stiffness modes from the true ones [rad], see `compare_modes`.
     power_number, force_number
         Mean error of the number of modes within a limit of power or force, over limits from 5 to
-        95 % of the range between the first mode and all.
+        95 % of the range between the first mode and all modes.
     """
 
     distance: Three
@@ -44,7 +44,7 @@ class ModesScore:
 
 
 def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBase:
-    """Return the modal base that true alpha and true stiffness give, the rest as measured."""
+    """Return the modal base of true alpha and true stiffness; all else is measured."""
     matrix = StiffnessMatrix(
         campaign.instrument,
         found.after.matrix.date,
@@ -61,7 +61,7 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
 
 
 def score_modes(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModesScore:
-    """Compare what was found of the modes with the truth; all actuators commanded."""
+    """Compare estimated modes with the truth. All actuators must be enabled."""
     true = true_base(campaign, found, truth)
     costs = (found.before.costs[0], _singular(campaign, found), found.after.costs[0])
     power, force = (
@@ -83,12 +83,12 @@ def score_modes(campaign: Campaign, found: ModalFindings, truth: Truth) -> Modes
 
 
 def _singular(campaign: Campaign, found: ModalFindings) -> Dissipation:
-    """Return what the right singular vectors cost, by the stiffness as measured."""
+    """Return the dissipation of the right singular vectors of the measured stiffness."""
     if found.measured is None or found.after.modes.stiffness.size != campaign.layout.n:
         raise ValueError("give the campaign, with all actuators on, and what was found of it")
     base, matrix = found.before, found.measured.matrix.stiffness
     cost = base.costs[0]
-    assert base.seen is not None  # as it costs something
+    assert base.seen is not None  # because there are costs
     return dissipation(
         "singular vectors",
         np.linalg.svd(matrix)[2][::-1].T,
@@ -105,6 +105,6 @@ def _three(values: Iterable[float]) -> Three:
 
 
 def _levels(values: Array) -> Array:
-    """Return limits across the range of the worst actuator, from the first mode to all."""
+    """Return limits in the range of the worst actuator, from the first mode to all modes."""
     worst = values.max(axis=0)
-    return np.asarray(worst[0] + SHARES * (worst[-1] - worst[0]))
+    return np.asarray(worst[0] + FRACTIONS * (worst[-1] - worst[0]))

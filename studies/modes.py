@@ -44,7 +44,7 @@ PUBLISHED = {
 
 
 def known(seeds: int) -> None:
-    """Print how far modes and their numbers lie from the truth, with and without calibration."""
+    """Print errors of modes and of their number, with and without calibration."""
     scores = []
     for seed in range(seeds):
         bench = static_bench(tn.mirrors.p45(), seed)
@@ -62,9 +62,9 @@ def known(seeds: int) -> None:
 
 
 def of_sensors(seeds: int) -> None:
-    """Print how far modes lie from the truth by what is known of the sensors, off by 0.5 mm.
+    """Print errors of modes for different knowledge of sensors, which are 0.5 mm off.
 
-    Where the glass is known, from those of the magnets, else from those of sensors at the magnets.
+    With a model of the glass, true modes are those at the magnets; otherwise as read by sensors.
     """
     mirror = tn.mirrors.p45()
     motion = sensor_model(mirror, mirror.layout)
@@ -100,7 +100,7 @@ def of_sensors(seeds: int) -> None:
 
 
 def off_the_truth(found: TrueStiffness, truth: np.ndarray) -> float:
-    """Return the distance of modes from those of (n, n) the true stiffness [deg]."""
+    """Return the distance of modes from those of the (n, n) true stiffness [deg]."""
     true = stiffness_modes(0.5 * (truth + truth.T), arms(found.layout).T)
     compared_modes = compare_modes(true.modes, found.modes.modes, true.stiffness)
     return float(np.degrees(compared_modes.distance))
@@ -108,15 +108,15 @@ def off_the_truth(found: TrueStiffness, truth: np.ndarray) -> float:
 
 def row(what: str, threes: object) -> None:
     columns = np.asarray(threes, dtype=float).T
-    print(f"  {what:<44}" + "".join(f"{told(values):<24}" for values in columns))
+    print(f"  {what:<44}" + "".join(f"{with_error(values):<24}" for values in columns))
 
 
-def told(values: np.ndarray) -> str:
+def with_error(values: np.ndarray) -> str:
     return f"{values.mean():.3g} +- {values.std(ddof=1) / np.sqrt(len(values)):.1g}"
 
 
 def real(folder: str) -> None:
-    """Print forces, residual and power on the measured matrix beside the published ones."""
+    """Print forces, residual and power of the measured matrix and the published ones."""
     matrix = tn.read(Path(folder) / "lbt672" / "lbt672-feedforward.fits")
     calibration = tn.calibrate(matrix, "ml")
     x, y = (PUPIL.diameter / 2 / PUPIL.radius * v for v in (matrix.layout.x, matrix.layout.y))

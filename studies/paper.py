@@ -22,14 +22,14 @@ NOISES = {"0.1 mN": 1e-4, "12 uN, as in closed loop": 12e-6}
 
 
 def gentler(bench: StaticBench, limit: float) -> StaticBench:
-    """Return the bench with shapes shrunk until no elastic force is above the limit."""
+    """Return the bench with shapes scaled so that elastic forces do not exceed the limit [N]."""
     force = np.abs(bench.shapes @ bench.glass.stiffness.T).max(axis=1)
     shrunk = np.minimum(1.0, limit / np.maximum(force, 1e-12))
     return replace(bench, shapes=shrunk[:, None] * bench.shapes)
 
 
 def errors(seeds: int) -> None:
-    """Print E_CYCLE, the paper's error, against the forces of the shapes."""
+    """Print E_CYCLE, the paper's error, as a function of the forces of the shapes."""
     print("\npaper: errors 6.6e-4 to 1.6e-2, strokes of 1 um in tip and tilt only")
     print(f"{'forces below':>14}{'shapes at 1 um':>16}{'median':>10}" + "".join(
         f"{'E_CYCLE at ' + name:>38}" for name in NOISES))  # fmt: skip
@@ -51,7 +51,7 @@ def errors(seeds: int) -> None:
 
 
 def tools(seeds: int) -> None:
-    """Print what the weight of the tool does to the scale."""
+    """Print the effect of the weight of the tool on the scale."""
     print("\nscale of alpha, its stated error and its RMS error, against the weight of the tool")
     for times in (0.25, 0.5, 1.0, 2.0):
         mirror = replace(p45(), added_weight=times * p45().added_weight)
@@ -65,7 +65,7 @@ def tools(seeds: int) -> None:
 
 
 def wedges() -> None:
-    """Print by how much the ring on its wedges asks for other forces than an even load."""
+    """Print the difference of forces between the ring on its wedges and a uniform load."""
     glass = model_shell(p45())
     none = forces_under(glass, weight_on(p45(), p45().weight))
     ring = forces_under(glass, weight_on(p45(), p45().weight, p45().added_weight)) - none

@@ -1,11 +1,11 @@
-"""Alpha and sensors of a real LBT672 from its feed-forward matrix, beside what was measured apart.
+"""Alpha and sensors of a real LBT672 from its feed-forward matrix, and independent measurements.
 
     TRUENEWTON_REAL_DATA=FOLDER python -m studies.real_mirror [ALPHA.png SENSORS.png]
 
-FOLDER holds lbt672/lbt672-feedforward.fits and lbt672/lbt672-tables.ecsv. Prints, for alpha = 1,
-by the balance of forces and by reciprocity, how far elastic modes are out of balance, fitted and
-held out; how alpha goes with the efficiency of the magnets, which knows nothing of it; and the
-actuators and sensors that stand off. Takes about four minutes of one processor.
+FOLDER contains lbt672/lbt672-feedforward.fits and lbt672/lbt672-tables.ecsv. Prints the imbalance
+of fitted and held-out elastic modes for alpha = 1, by balance of forces and by reciprocity; the
+correlation of alpha with the independently measured efficiency of the magnets; and outliers among
+actuators and sensors. Takes about four minutes on one processor.
 """
 
 import os
@@ -21,7 +21,7 @@ from studies.matrices import without_polynomial
 from truenewton.figures.maps import name_point
 from truenewton.figures.style import ACCENT, COLUMN, INK
 
-FAR = 4.0  # robust standard deviations, beyond which an actuator or a sensor is named
+FAR = 4.0  # outlier limit in robust standard deviations
 
 
 def shuffled_correlation(one, other, layout, tries=1000):
@@ -37,8 +37,8 @@ def shuffled_correlation(one, other, layout, tries=1000):
     return largest
 
 
-def standing_off(values, layout):
-    """Return IDs and values that lie far from the others, their smooth part taken out."""
+def outliers(values, layout):
+    """Return IDs and values of outliers after removal of the smooth part."""
     apart = without_polynomial(np.nan_to_num(values, nan=np.nanmedian(values)), layout)
     spread = 1.4826 * np.median(np.abs(apart - np.median(apart)))
     far = np.flatnonzero(np.abs(apart - np.median(apart)) > FAR * spread)
@@ -80,7 +80,7 @@ def main():
 
 
 def of_sensors(made):
-    """Print what is known of the sensors, and who stands off."""
+    """Print properties of the sensors, and outliers."""
     layout, gain = made.layout, made.of_sensors("gain")
     x, y = (1e3 * made.of_sensors(axis) for axis in "xy")
     free = [sensor.actuator for sensor in made.sensors if sensor.state == "free"]
@@ -90,7 +90,7 @@ def of_sensors(made):
           f" {1e3 * errors[1]:.2f} mm")  # fmt: skip
     print(f"    left free: {free or 'none'}")
     for what, values in (("alpha", made.alpha), ("gain", gain)):
-        named = ", ".join(f"{one} {value:.3f}" for one, value in standing_off(values, layout))
+        named = ", ".join(f"{one} {value:.3f}" for one, value in outliers(values, layout))
         print(f"    {what} stands off: {named or 'none'}")
     far = np.hypot(x, y)
     worst = np.argsort(-np.nan_to_num(far))[:6]
@@ -99,7 +99,7 @@ def of_sensors(made):
 
 
 def draw_alpha(made, apart, efficiency, path):
-    """Draw alpha on the map, and its small scale against the efficiency of the magnets."""
+    """Draw a map of alpha, and its small-scale part against the efficiency of the magnets."""
     figure = Figure(figsize=(2.1 * COLUMN, 1.2 * COLUMN), layout="constrained")
     left, right = figure.subplots(1, 2)
     made.plot(ax=left)
@@ -116,7 +116,7 @@ def draw_alpha(made, apart, efficiency, path):
 
 
 def draw_sensors(made, path):
-    """Draw the gains on the map, and from each magnet to its sensor, thirty times as long."""
+    """Draw a map of gains, and the offsets of sensors from magnets, magnified 30 times."""
     figure = Figure(figsize=(2.1 * COLUMN, 1.2 * COLUMN), layout="constrained")
     left, right = figure.subplots(1, 2)
     made.plot("sensor_gain", ax=left)

@@ -6,17 +6,16 @@
     python -m studies.reciprocity --large
     TRUENEWTON_REAL_DATA=FOLDER python -m studies.reciprocity --measured
 
-The first prints, for campaigns of P45 (4 cycles under each of two loads), the relative error of
-alpha with sensor gains known, with a spread of 0.4 %, and free, in terms of the Cramer-Rao bound
-with all of K unknown (`joint_bound`), how many of the 95 % intervals hold the truth, chi2 of the
-errors by their whole covariance C, and of how many independent patterns an error is made,
-(tr C)^2 / tr C^2: coverage scatters as that of so few numbers a campaign. Beside it `ml`, and
-reciprocity without a model of the glass, as a user without one has it. --loop holds the shapes in
-closed loop. The second prints how often the gate accepts stiffnesses of P45 with faults,
-and whether it should; --foreign what `ml`, `auto` and `reciprocity` make of matrices of many other
-kinds. --large prints error, bound and coverage of stiffnesses of 650 actuators of LBT672, sensors
-0.5 mm off. The last prints what is left out of balance on held-out modes of a measured LBT672,
-FOLDER holding lbt672/lbt672-feedforward.fits.
+The first command simulates campaigns of P45 (4 cycles under each of two loads). Sensor gains are
+known, have a prior of 0.4 %, or are free. It prints the relative error of alpha; its ratio to the
+Cramer-Rao bound with K unknown (`joint_bound`); the coverage of 95 % intervals; chi2 of the errors
+with their covariance C; and the effective number of independent patterns of an error, (tr C)^2 / tr
+C^2, which limits the precision of the coverage. `ml` and reciprocity without a model of the glass
+are printed for comparison. --loop simulates the closed loop. --gate prints how often `auto` accepts
+stiffnesses of P45 with faults, and whether it should. --foreign prints the results of `ml`, `auto`
+and `reciprocity` for matrices of other kinds. --large prints error, bound and coverage for 650
+actuators of LBT672, with sensors 0.5 mm off. --measured prints the imbalance of held-out modes of a
+measured LBT672, FOLDER/lbt672/lbt672-feedforward.fits.
 """
 
 import argparse
@@ -80,19 +79,19 @@ def bound(bench, places, square, noise, asked):
 
 
 def log_about(alpha):
-    """Return log alpha about its mean."""
+    """Return log alpha minus its mean."""
     return np.log(alpha) - np.mean(np.log(alpha))
 
 
 def chi2_at(places, stiffness, values):
-    """Return chi2 of S, t and A, over the number of each, at some values."""
+    """Return chi2 of S, t and A, relative to their numbers of elements, for given values."""
     point = point_at(places, values, Request(), stiffness.states)
     m = point.states.count
     return np.array(point.left.chi2(point.weights)) / (3 * m, 3 * m, m * (m - 1) / 2)
 
 
 class Line:
-    """What came of one way over the seeds."""
+    """Results of one method over the seeds."""
 
     def __init__(self):
         self.errors, self.stated, self.inside, self.bounds, self.chi2 = [], [], [], [], []
@@ -167,7 +166,7 @@ def campaigns(seeds, bounds, noise, loop):
 
 
 def main():
-    """Print what is asked for."""
+    """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--bounds", type=int, default=5, help="seeds whose bound is computed")

@@ -1,4 +1,4 @@
-"""What reciprocity makes of matrices: simulated, foreign, large and measured (`reciprocity.py`)."""
+"""Reciprocity with simulated, foreign, large and measured matrices (see `reciprocity.py`)."""
 
 import time
 import warnings
@@ -36,10 +36,10 @@ from truenewton.statics.layout import layout as actuators_at
 def matrix_of(
     random, glass, layout, *, gain=0.004, offset=0.0, asymmetry=0.0, balanced=True, dead=0
 ):
-    """Return a stiffness as measured in 8 readings with 1 mN of noise, and log alpha.
+    """Return a stiffness measured in 8 readings with 1 mN of noise, and log alpha.
 
-    Asymmetry is relative, of each element; it leaves forces in balance and rigid motions free
-    unless it is not ``balanced``.
+    ``asymmetry`` is that of each element, relative. If ``balanced``, forces still balance and
+    rigid-body motions require no force.
     """
     n = layout.n
     values = drawn(random, n, gain, offset)
@@ -75,7 +75,7 @@ FAULTS = {
 
 
 def gate(seeds):
-    """Print what `auto` makes of stiffnesses with faults; good is what beats balance alone."""
+    """Print decisions of `auto` on faulty stiffnesses; good: better than balance alone."""
     mirror = p45()
     glass = model_shell(mirror)
     print(f"{'':<18}joint      balance    apart   good  accepted  falsely  rejected falsely")
@@ -110,7 +110,7 @@ def gate(seeds):
 
 
 def chosen(matrix):
-    """Return the method that `auto` takes, nothing where it refuses."""
+    """Return the method that `auto` uses, or an empty text if it refuses."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -123,7 +123,7 @@ OF_THE_GATE = ("reciproc", "balance worse", "off their magnets")
 
 
 def fate(matrix, method, truth):
-    """Return what comes of a calibration: its method, or why there is none; error, coverage."""
+    """Return outcome, message, error, stated error, coverage and duration of a calibration."""
     begin = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -135,10 +135,10 @@ def fate(matrix, method, truth):
     error, stated = np.log(made.alpha) - truth, made.statistical_error / made.alpha
     some = np.isfinite(error) & (stated > 0.0)
     error = error - np.mean(error[some])
-    said = [each.fault for each in made.verdict.findings]
+    faults = [each.fault for each in made.verdict.findings]
     return (
         f"{made.method}, {made.verdict.level}",
-        next((f for f in said if any(word in f for word in OF_THE_GATE)), "".join(said[:1])),
+        next((f for f in faults if any(word in f for word in OF_THE_GATE)), "".join(faults[:1])),
         np.sqrt(np.mean(error[some] ** 2)),
         np.sqrt(np.mean(stated[some] ** 2)),
         np.mean(np.abs(error[some]) < 1.96 * stated[some]),
@@ -147,7 +147,7 @@ def fate(matrix, method, truth):
 
 
 def foreign_matrices(seeds):
-    """Print what becomes of matrices that were not made for us."""
+    """Print the outcomes for matrices that were not made for this package."""
     print("matrix | method | outcome | rms | stated | coverage | seconds | what is said")
     for name, make in foreign(START):
         for method in ("ml", "auto", "reciprocity"):
@@ -156,7 +156,7 @@ def foreign_matrices(seeds):
             ends = ", ".join(f"{count} {what}" for what, count in outcomes.most_common())
             numbers = np.array([row[2:5] for row in rows])
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of means of nothing
+                warnings.simplefilter("ignore")  # means of empty arrays
                 rms, stated, inside = np.nanmean(numbers, axis=0)
             reason = "" if method == "ml" else rows[0][1]
             print(
@@ -167,7 +167,7 @@ def foreign_matrices(seeds):
 
 
 def real():
-    """Print what is left of a measured LBT672, without and with a model of its glass."""
+    """Print residuals of a measured LBT672, without and with a model of its glass."""
     matrix = measured_lbt672()
     print("without a model of the glass")
     examine(matrix)
@@ -176,7 +176,7 @@ def real():
 
 
 def examine(matrix, motion=None):
-    """Print what is left of a measured matrix."""
+    """Print residuals of a measured matrix."""
     cpu, layout = time.process_time(), matrix.layout
     modes = modes_of(matrix.layout, MatrixFacts.of(matrix), motion)
     found = examined(modes, *fit_jointly(modes, fit_roughly(modes)))

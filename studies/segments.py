@@ -3,17 +3,16 @@
     python -m studies.segments [--mirror m4] [--cycles 2] [--seed 1] [--noise 1e-4]
     python -m studies.segments --campaigns 24 [...]
 
-The glass of each segment that differs by itself; then the commands `simulate`, `calibrate`,
-`report` and `modes`, each with its processor time, its time, and the memory of its largest process.
-Then of each segment: E_STAT and the RMS error of alpha over the bound of Cramer and Rao, the common
-scale taken out with the true weight of the tool; how many 95 % intervals of E_STAT hold the truth
-so, actuator by actuator and pattern by pattern; e' C^-1 e / n; how many of E_ALPHA as it stands; by
-how many of its standard uncertainties the tool was weighed wrong. C is COVARIANCE less SYSTEMATIC
-and patterns are its axes, which err independently of each other. The few that are weak, the common
-scale and two tilts, make most of the error of every actuator, so that actuators of one segment are
-covered together or not at all.
+Prints the processor time, elapsed time and peak memory of computing the glass of each different
+segment, and of the commands `simulate`, `calibrate`, `report` and `modes`. Then for each segment:
+the Cramer-Rao bound; E_STAT and the rms error of alpha relative to it, for the true weight of the
+tool; e' C^-1 e / n; the coverage of 95 % intervals of E_STAT by actuator and by pattern; the
+coverage of E_ALPHA for the declared weight; the error of the tool's weight in sigma. C is
+COVARIANCE - SYSTEMATIC, and patterns are its eigenvectors, whose errors are independent. A few weak
+patterns (the common scale and two tilts) dominate the error of every actuator, so that coverage is
+correlated within a segment.
 
-With --campaigns so many more, of one segment after the other by itself, each with noise of its own.
+--campaigns simulates more campaigns with independent noise, of one segment after the other.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ from truenewton.statics.arms import enabled_arms
 
 
 def timed(name: str, *commands: Sequence[object]) -> None:
-    """Run commands, each in a process of its own, and print what they took."""
+    """Run commands in separate processes; print their time and memory."""
     begun, processor, largest = time.monotonic(), 0.0, 0
     for command in commands:
         child = subprocess.Popen([sys.executable, *map(str, command)], stdout=subprocess.DEVNULL)
@@ -69,15 +68,15 @@ def timed(name: str, *commands: Sequence[object]) -> None:
 
 
 def bound(bench: StaticBench, cycles: int) -> Array:
-    """Return the (n,) bound of Cramer and Rao on alpha, the weights known.
+    """Return the (n,) Cramer-Rao bound of alpha for known weights.
 
-    The true forces of every shape under every load are unknown too; without them the information
-    on alpha, B and the torques is the sum of r J' S^-1 J over shapes.
+    The unknown true forces of every shape under every load are eliminated. The information on
+    alpha, B and the torques is then the sum of r J' S^-1 J over shapes.
     """
     alpha, a = bench.truth.alpha, enabled_arms(bench.mirror.layout)
     _, _, position = rows_of_cycle(bench)
-    # Alpha multiplies what coils make of a command where they stand; were it the command itself,
-    # each shape would balance a force of COILGRAD f z that nobody measured.
+    # Alpha multiplies the command corrected for the position of the coil. Without correction the
+    # force COILGRAD f z would unbalance each shape.
     coil = 1.0 + bench.coils.coil_gradient * position * bench.sensors.gain
     beside = Unknowns(len(alpha), len(bench.loads)).external_load_derivative()
     shapes = (held_command(bench, load, position) * coil for load in range(len(bench.loads)))
@@ -89,18 +88,18 @@ HEAD = "bound     E_STAT/bound   error/bound   e'C^-1e/n   E_STAT %   patterns %
 
 
 def figures(bench: StaticBench, least: Array, found: tn.Calibration) -> Array:
-    """Return what `HEAD` names, of a calibration and the (n,) bound."""
+    """Return the columns of `HEAD` for a calibration and its (n,) bound."""
     declared, true = bench.loads[-1].added, bench.truth.added[-1]
-    miss = found.alpha * true / declared - bench.truth.alpha
-    n = len(miss)
+    off = found.alpha * true / declared - bench.truth.alpha
+    n = len(off)
     sizes, axes = np.linalg.eigh((found.covariance - found.systematic_covariance)[:n, :n])
-    patterns = (axes.T @ miss) / np.sqrt(sizes)
+    patterns = (axes.T @ off) / np.sqrt(sizes)
     return np.array([
         rms(least),
         rms(found.statistical_error) / rms(least),
-        rms(miss) / rms(least),
+        rms(off) / rms(least),
         np.mean(patterns**2),
-        100 * np.mean(np.abs(miss) < TWO_SIGMA * found.statistical_error),
+        100 * np.mean(np.abs(off) < TWO_SIGMA * found.statistical_error),
         100 * np.mean(np.abs(patterns) < TWO_SIGMA),
         100 * np.mean(np.abs(found.alpha - bench.truth.alpha) < TWO_SIGMA * found.error),
         (true / declared - 1) * declared / bench.loads[-1].added_error,
@@ -126,7 +125,7 @@ def errors(bench: SegmentedBench, work: Path, cycles: int) -> None:
 
 
 def many(bench: SegmentedBench, cycles: int, count: int) -> None:
-    """Print the errors of campaigns of one segment after the other, and the means of all."""
+    """Print errors of campaigns of one segment after the other, and their means."""
     of_all, least = [], [bound(one, cycles) for one in bench.benches]
     print(f"  segment   {HEAD}")
     for number in range(count):
@@ -147,7 +146,7 @@ def many(bench: SegmentedBench, cycles: int, count: int) -> None:
 
 
 def main() -> None:
-    """Run what is asked for."""
+    """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mirror", default="m4")
     parser.add_argument("--cycles", type=int, default=2)

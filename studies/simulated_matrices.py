@@ -1,4 +1,4 @@
-"""Stiffness matrices as mirrors may be measured: alpha, sensors and noise known; foreign ones."""
+"""Simulated measured stiffness matrices with known alpha, sensors and noise; foreign matrices."""
 
 from dataclasses import dataclass, replace
 
@@ -25,14 +25,14 @@ CIRCLES, ANGLES = 2, 12  # of an annulus
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A stiffness as measured, what is true, and the noise of each mode.
+    """A measured stiffness, the truth, and the noise of each mode.
 
     Attributes
     ----------
     stiffness, exact
-        (n, n) force command per reading with noise and without [N/m].
+        (n, n) commanded force per reading, with and without noise [N/m].
     values
-        What is true of alpha and sensors.
+        True alpha and sensor parameters.
     readings, level
         (n, n) V, orthonormal; (n,) noise of an element of K_c V [N/m].
     """
@@ -45,13 +45,13 @@ class Measured:
 
 
 def drawn(random, n, gain=0.004, offset=0.0):
-    """Return alpha within 5 %, and sensors."""
+    """Return random alpha (5 %) and sensor parameters."""
     alpha, gains = random.normal(0.0, 0.05, n), random.normal(0.0, gain, n)
     return Values(alpha, gains, offset * random.normal(0.0, 1.0, (2, n)))
 
 
 def by_plate(layout, stiffness, values, offsets=True):
-    """Return K_c of a stiffness made symmetric; offset sensors see what a thin plate would do."""
+    """Return K_c of the symmetrised stiffness; offset sensors read a thin plate."""
     motion = sensors_at(places_of(layout), values, slopes=offsets).motion
     return (0.5 * (stiffness + stiffness.T)) @ (motion * values.gain) / values.alpha[:, None]
 
@@ -62,7 +62,7 @@ def by_glass(glass, values):
     layout, (dx, dy) = mirror.layout, values.offset
     seen = replace(layout, x=layout.x - dx, y=layout.y - dy)
     at = mirror.shell.along(seen.x, seen.y)
-    # The mean over an annulus that is not round the puck: over points on circles in it.
+    # Mean over an annulus that is not centred on the puck, by points on circles.
     inner, outer = mirror.sensor.inner_radius, mirror.sensor.outer_radius
     nodes, weights = np.polynomial.legendre.leggauss(CIRCLES)
     radius = np.sqrt(0.5 * (inner**2 + outer**2) + 0.5 * (outer**2 - inner**2) * nodes)
@@ -73,13 +73,13 @@ def by_glass(glass, values):
             point = (at[0] + x, at[1] + y)
             read += weight * glass.free.influence(point, glass.places, None, mirror.puck_radius)
     rearmed = rearming(rigid_motions(*at), arms(seen)) @ read @ glass.exchange.T
-    n, unit = layout.n, 1e-6  # m/N, so that all is of one size
+    n, unit = layout.n, 1e-6  # m/N, for comparable magnitudes
     bordered = np.block([[rearmed / unit, arms(seen).T], [arms(layout), np.zeros((3, 3))]])
     return np.linalg.inv(bordered)[:n, :n] / unit * values.gain / values.alpha[:, None]
 
 
 def measured(random, exact, values, noise=1e-3, stroke=1e-6):
-    """Return K_c measured mode by mode in 8 readings, with noise [N], and a largest stroke [m]."""
+    """Return K_c measured by modes in 8 readings, with noise [N] and a largest stroke [m]."""
     _, size, right = np.linalg.svd(exact)
     moved = np.minimum(stroke, PUSH / np.maximum(size, 1.0)) * np.sqrt(8)
     error = (noise * random.standard_normal(exact.shape) / moved) @ right
@@ -87,9 +87,9 @@ def measured(random, exact, values, noise=1e-3, stroke=1e-6):
 
 
 def bound(made, layout, asked, motion=None):
-    """Return the bound of the rms error of log alpha about its mean, by the noise that is known.
+    """Return the bound of the rms error of log alpha about its mean, for the known noise.
 
-    From score and information of the likelihood at the truth, in which all of K is unknown.
+    It follows from the information of the likelihood at the truth, with all of K unknown.
     """
     places, n = places_of(layout, motion), layout.n
     square = (made.readings / made.level**2) @ made.readings.T
@@ -101,7 +101,7 @@ def bound(made, layout, asked, motion=None):
     return float(np.sqrt(np.trace(mean @ np.linalg.inv(known)[:n, :n] @ mean) / n))
 
 
-# --- matrices that were not made for us
+# --- matrices not made for this package
 
 
 def hexagon(rings_, pitch=0.03):
@@ -126,7 +126,7 @@ def _membrane(tension):
 
 
 def _neighbours(layout):
-    """Return (n, n) which actuators are neighbours."""
+    """Return (n, n) whether two actuators are neighbours."""
     distance = np.hypot(layout.x[:, None] - layout.x, layout.y[:, None] - layout.y)
     np.fill_diagonal(distance, np.inf)
     return distance < 1.5 * np.median(distance.min(axis=1))
@@ -140,7 +140,7 @@ def _slaved(k, layout, random):
 
 
 def without_modes(k, some):
-    """Return a matrix without some of its modes, of which the stiffest is the first."""
+    """Return a matrix without some modes; the stiffest is the first."""
     left, size, right = np.linalg.svd(k)
     size[some] = 0.0
     return (left * size) @ right
@@ -151,7 +151,7 @@ def _cross_talk(k, layout, share):
 
 
 def _noise_rows(k, layout, random, count):
-    """Return K_c with a sector in which nothing works."""
+    """Return K_c with a dead sector that contains only noise."""
     k = k.copy()
     angle = np.arctan2(layout.y, layout.x)
     some = np.argsort(np.abs(angle - angle[-1]))[:count]
@@ -166,7 +166,7 @@ def _exchanged(k, random, count):
 
 
 def foreign(date):
-    """Yield names of kinds of matrices, and what makes one by a seed, with its log alpha."""
+    """Yield names of kinds of matrices, and a function of a seed: a matrix and its log alpha."""
     mirror = p45()
     glass = model_shell(mirror)
 

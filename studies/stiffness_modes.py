@@ -1,10 +1,10 @@
-"""How near measured stiffness modes come to the true ones, and what each step of the way is worth.
+"""Distance of measured stiffness modes from the true ones, after each step of the calibration.
 
     [TRUENEWTON_REAL_DATA=FOLDER] python -m studies.stiffness_modes
 
-On simulated P45, 20 seeds, two cycles a load: the distance of modes (`compare_modes`) to those of
-the true stiffness. With FOLDER/lbt672/lbt672-feedforward.fits also on the measured LBT672, against
-the modes of the shell model, which know nothing of the measurement.
+For a simulated P45 (20 seeds, two cycles per load): the distance of modes (`compare_modes`) from
+those of the true stiffness. With FOLDER/lbt672/lbt672-feedforward.fits also for the measured
+LBT672, compared with the modes of the independent shell model.
 """
 
 import os
@@ -35,7 +35,7 @@ STEPS = (
 
 
 def singular(k):
-    """Return the displacements that take least force, as a laboratory may take them for modes."""
+    """Return the singular vectors of displacements, which laboratories often use as modes."""
     return np.linalg.svd(k)[2][::-1].T
 
 

@@ -3,18 +3,17 @@
     python -m studies.tracking [--seeds 200] [--mirrors 1000] [--replacements 1000]
                                   [--scatter 100]
 
-Law: six days at 12 to 24 deg C, k ~ N(-1.1e-3, 2e-4) / K, drift ~ N(-2e-3, 1e-3) / yr, calibrations
-drawn from the COVARIANCE of one simulated P45 campaign (4 cycles), the error of the ring one and
-the same on all days. False alarms: the same. Replacement: one cycle under one load after actuator
-17 was replaced, the readings and the earlier calibration both with noise. Bounds: the inverse of
-the information on all unknowns, written down here anew. The same by an earlier stiffness, of 20
-shapes; the sensor of actuator 17 was replaced, too.
+Law: six days at 12 to 24 deg C, k ~ N(-1.1e-3, 2e-4) / K, drift ~ N(-2e-3, 1e-3) / yr. Calibrations
+are drawn from the COVARIANCE of one simulated P45 campaign (4 cycles); the error of the ring is the
+same on all days. False alarms: likewise. Replacement: one cycle under one load after actuator 17
+was replaced; readings and earlier calibration have noise. Bounds: the inverse of the information on
+all unknowns, computed independently. Also with an earlier stiffness, 20 shapes, and a new sensor
+17.
 
-Scatter: days thirty days apart of which each actuator scatters by itself about its law, or all in
-common too, or others drift each by itself before a short run; nobody else has changed, or one by a
-step of 1 %. Predictions are of a new day, which scatters as well; the error of the ring, one draw
-for a whole mirror, is taken out of them. "Stated" compares errors with those that are stated where
-it is known that nothing scatters.
+Scatter: calibrations are thirty days apart. Actuators scatter about their laws, independently or
+also in common, or drift independently before a short run. Another actuator may change by 1 %.
+Predictions refer to a new day with scatter, without the error of the ring, which is constant for a
+mirror. "Stated" is the ratio of stated errors to those if zero scatter were known.
 """
 
 from __future__ import annotations
@@ -44,13 +43,13 @@ Array = np.ndarray
 
 
 def one_calibration(noise: float = 1e-3, cycles: int = 4) -> tn.Calibration:
-    """Calibrate a simulated P45; its covariance is what days are drawn from."""
+    """Calibrate a simulated P45. Days are drawn from its covariance."""
     bench = static_bench(p45(), SEED, force_noise=noise)
     return tn.calibrate(tn.Campaign(tuple(run_cycles(bench, cycles))))
 
 
 class World:
-    """One mirror: its true law, and what six days of calibration gave."""
+    """One mirror: its true law, and calibrations on six days."""
 
     def __init__(self, pattern: tn.Calibration, seed: int, gap: float = 1.0) -> None:
         random = np.random.default_rng([SEED, seed])
@@ -84,13 +83,13 @@ class World:
             )
 
     def alpha(self, temperature: float, date: datetime.datetime) -> Array:
-        """Return the truth."""
+        """Return (n,) true alpha."""
         years = (date - self.start) / YEAR
         return self.a * (1 + self.k * (temperature - 18.0) + self.r * years)
 
 
 def bound(pattern: tn.Calibration, gap: float) -> float:
-    """Return the least RMS error that k can have, the spreads known but not the means."""
+    """Return the lower bound of the rms error of k, for known spreads and unknown means."""
     n = pattern.layout.n
     reading_covariance, _ = covariances(pattern, np.ones(n, dtype=bool))
     weight = np.linalg.inv(reading_covariance / np.outer(pattern.alpha, pattern.alpha))
@@ -110,8 +109,8 @@ def bound(pattern: tn.Calibration, gap: float) -> float:
 
 
 def law(pattern: tn.Calibration, seeds: int, gap: float, words: str) -> None:
-    """Print coverage of means, spreads and predictions, and the scatter of k over its bound."""
-    mean, spread, squares, told, inside = [], [], [], [], []
+    """Print coverage of means, spreads and predictions, and the error of k / its bound."""
+    mean, spread, squares, stated, inside = [], [], [], [], []
     for seed in range(seeds):
         world = World(pattern, seed, gap)
         found = tn.track(*world.days)
@@ -119,7 +118,7 @@ def law(pattern: tn.Calibration, seeds: int, gap: float, words: str) -> None:
         mean.append(population.mean_interval[0] <= MEAN_K <= population.mean_interval[1])
         spread.append(population.spread_interval[0] <= SPREAD_K <= population.spread_interval[1])
         squares.append(np.mean((found.coefficient - world.k) ** 2))
-        told.append(np.mean(found.errors[1] ** 2))
+        stated.append(np.mean(found.errors[1] ** 2))
         at = [(10.0, found.days[-1].date), (18.0, found.date), (27.0, found.days[0].date)]
         for temperature, date in at:
             predicted = found.alpha_at(temperature, date)
@@ -132,7 +131,7 @@ def law(pattern: tn.Calibration, seeds: int, gap: float, words: str) -> None:
     print(f"  mean of k in its 95 % interval      {rate(mean)}")
     print(f"  spread of k in its 95 % interval    {rate(spread)}")
     print(f"  RMS error of k / bound {least:.3g}/K    {rms / least:.3f} +- {error:.3f}")
-    print(f"  stated / RMS error of k             {np.sqrt(np.mean(told)) / rms:.3f}")
+    print(f"  stated / RMS error of k             {np.sqrt(np.mean(stated)) / rms:.3f}")
     print(f"  95 % predictions of alpha cover     {100 * np.mean(inside):.1f} %"
           f" +- {100 * np.std(inside) / np.sqrt(seeds):.1f} %")  # fmt: skip
 
@@ -144,7 +143,7 @@ def rate(hits: list[bool]) -> str:
 
 
 def alarms(pattern: tn.Calibration, mirrors: int) -> None:
-    """Print how often anyone is said to leave a population that nobody left."""
+    """Print the rate of false outliers."""
     false = [bool(tn.track(*World(pattern, 10_000 + s).days).outliers) for s in range(mirrors)]
     print(f"nobody left, {mirrors} mirrors\n  any false alarm (stated 1 %)        {rate(false)}")
 
@@ -155,7 +154,7 @@ SCATTERS = [(0.0, 0.0), (3e-4, 0.0), (1e-3, 0.0), (3e-3, 0.0), (3e-4, 3e-4), (1e
 
 
 def scattered(world: World, seed: int, own: float, common: float) -> list[tn.Calibration]:
-    """Return the days of a world, each actuator and all in common off the law."""
+    """Return the days of a world with independent and common scatter about the law."""
     random = np.random.default_rng([SEED, 3, seed])
     return [
         replace(
@@ -169,7 +168,7 @@ def scattered(world: World, seed: int, own: float, common: float) -> list[tn.Cal
 
 
 def scatter(pattern: tn.Calibration, noise: float, seeds: int, own: float, common: float) -> None:
-    """Print false names, coverage and power where days scatter."""
+    """Print false alarms, coverage and power if days scatter."""
     n = pattern.layout.n
     false, mean, ofk, inside, named, alone, ratio, off = [], [], [], [], [], [], [], []
     for seed in range(seeds):
@@ -188,8 +187,8 @@ def scatter(pattern: tn.Calibration, noise: float, seeds: int, own: float, commo
             truth = world.alpha(temperature, date) * (1 + common * random.standard_normal())
             truth = truth * (1 + own * random.standard_normal(n))
             error = np.sqrt(np.diag(at.covariance - at.systematic_covariance))
-            missed = np.abs(at.alpha / (1 + world.scale) - truth)
-            inside.append(np.mean(missed <= TWO_SIGMA * error))
+            residual = np.abs(at.alpha / (1 + world.scale) - truth)
+            inside.append(np.mean(residual <= TWO_SIGMA * error))
         if not own and not common:
             with mock.patch.object(
                 fit, "estimate_scatter", lambda y, *_, **__: Scatter(degrees=len(y))
@@ -217,14 +216,14 @@ def scatter(pattern: tn.Calibration, noise: float, seeds: int, own: float, commo
 
 
 def share(parts: list[float]) -> str:
-    """Return a mean of parts with its error."""
+    """Return a mean of fractions with its error."""
     return f"{100 * np.mean(parts):.1f} % +- {100 * np.std(parts) / np.sqrt(len(parts)):.1f} %"
 
 
 def drifted(noise: float, runs: int, drift: float) -> None:
-    """Print the same for a short run, the others having drifted each by itself."""
+    """Print the same for a short run after independent drifts of the other actuators."""
     mirror, ids = Mirror(noise), p45().layout.id
-    off, told, false, named, found = [], [], [], [], []
+    off, stated, false, named, found = [], [], [], [], []
     for seed in range(runs):
         random = np.random.default_rng([SEED, 8, seed])
         known = mirror.earlier(random)
@@ -233,13 +232,13 @@ def drifted(noise: float, runs: int, drift: float) -> None:
         made = tn.recalibrate(mirror.run(factor, random), known, [int(ids[REPLACED])])
         truth = mirror.truth.alpha[REPLACED] * 0.8
         off.append(made.calibration.alpha[REPLACED] - truth)
-        told.append(made.calibration.statistical_error[REPLACED])
+        stated.append(made.calibration.statistical_error[REPLACED])
         found.append(made.scatter)
         false.append(bool(made.moved))
         factor[SECOND] *= 1 + STEP
         made = tn.recalibrate(mirror.run(factor, random), known, [int(ids[REPLACED])])
         named.append([one.actuator for one in made.moved] == [int(ids[SECOND])])
-    inside = np.abs(off) <= TWO_SIGMA * np.array(told)
+    inside = np.abs(off) <= TWO_SIGMA * np.array(stated)
     print(f"others drifted by {100 * drift:g} % each before a short run, {1e3 * noise:g} mN,"
           f" {runs} runs")  # fmt: skip
     print(f"  found                               {100 * np.sqrt(np.mean(np.square(found))):.2g} %")
@@ -249,36 +248,36 @@ def drifted(noise: float, runs: int, drift: float) -> None:
     print(f"  a step of 1 % named, and nobody else  {rate(named)}")
 
 
-REPLACED, SECOND = 16, 30  # places of actuators
+REPLACED, SECOND = 16, 30  # indices of actuators
 
 
 class Mirror:
-    """P45 after actuator 17 was replaced: what is known of it, and runs of one cycle, one load."""
+    """P45 with a replaced actuator 17: earlier calibration, and runs of one cycle and load."""
 
     def __init__(self, noise: float) -> None:
         bench = replace(static_bench(p45(), SEED, force_noise=noise), force_noise=0.0)
         self.noise, self.truth = noise, bench.truth
         self.pattern = one_calibration(noise)
         [self.quiet] = [c for c in run_cycles(bench, 1) if c.load.name == "bare"]
-        everyone = np.ones(bench.truth.layout.n, dtype=bool)
-        self.reading_covariance = covariances(self.pattern, everyone)[0]
+        every = np.ones(bench.truth.layout.n, dtype=bool)
+        self.reading_covariance = covariances(self.pattern, every)[0]
         self.root = np.linalg.cholesky(self.reading_covariance)
 
     def earlier(self, random: np.random.Generator) -> tn.Calibration:
-        """Return the earlier calibration, with errors of its own."""
+        """Return the earlier calibration, with independent errors."""
         return replace(
             self.pattern,
             alpha=self.truth.alpha + self.root @ random.standard_normal(len(self.root)),
         )
 
     def run(self, factor: Array, random: np.random.Generator) -> tn.Campaign:
-        """Return a run in which every alpha is (n,) factor times what it was."""
+        """Return a run in which alpha is multiplied by (n,) factors."""
         clean = self.quiet.force / factor
         force = clean + self.noise * random.standard_normal(clean.shape)
         return tn.Campaign((replace(self.quiet, force=force, force_error=self.noise),))
 
     def bound(self, factor: Array) -> float:
-        """Return the least error of the new alpha: information of the run and of the prior."""
+        """Return the bound of the error of the new alpha, from the run and the prior."""
         layout, alpha = self.truth.layout, self.truth.alpha * factor
         a = np.array([layout.nz, layout.x, layout.y])
         inverse = np.linalg.inv((a * alpha) @ (a * alpha).T * self.noise**2)
@@ -295,25 +294,25 @@ class Mirror:
 
 
 def replacements(noise: float, runs: int) -> None:
-    """Print the error of the new alpha, false alarms, and how surely a second change is found."""
+    """Print the error of the new alpha, false alarms, and the power for a second change."""
     mirror, new = Mirror(noise), np.ones(45)
     new[REPLACED] = 0.8
     ids = mirror.truth.layout.id
     both = new.copy()
     both[SECOND] = 1 + 6 * mirror.bound(new)
-    off, told, false, false_auto, found = [], [], [], [], []
+    off, stated, false, false_auto, found = [], [], [], [], []
     for seed in range(runs):
         random = np.random.default_rng([SEED, 7, seed])
         known = mirror.earlier(random)
         made = tn.recalibrate(mirror.run(new, random), known, [int(ids[REPLACED])])
         off.append(made.calibration.alpha[REPLACED] - mirror.truth.alpha[REPLACED] * 0.8)
-        told.append(made.calibration.statistical_error[REPLACED])
+        stated.append(made.calibration.statistical_error[REPLACED])
         false.append(bool(made.moved))
         false_auto.append(bool(tn.recalibrate(mirror.run(np.ones(45), random), known).moved))
         made = tn.recalibrate(mirror.run(both, random), known, [int(ids[REPLACED])])
         found.append([one.actuator for one in made.moved] == [int(ids[SECOND])])
     bound, rms = mirror.bound(new), np.sqrt(np.mean(np.square(off)))
-    inside = np.abs(off) <= TWO_SIGMA * np.array(told)
+    inside = np.abs(off) <= TWO_SIGMA * np.array(stated)
     print(f"one cycle, one load after a replacement, {1e3 * noise:g} mN, {runs} runs")
     print(f"  RMS error of the new alpha / bound {bound:.2g}    {rms / bound:.3f}"
           f" +- {rms / bound / np.sqrt(2 * runs):.3f}")  # fmt: skip
@@ -326,7 +325,7 @@ def replacements(noise: float, runs: int) -> None:
 
 
 def with_reference(noise: float, runs: int, shapes: int = 10) -> None:
-    """Print the error of the new alpha by an earlier stiffness: the campaign, or a matrix of it."""
+    """Print the error of the new alpha with an earlier stiffness, from a campaign or a matrix."""
     mirror, ids = Mirror(noise), p45().layout.id
     bench = static_bench(p45(), SEED, force_noise=noise)
     softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(len(ids))
@@ -356,7 +355,7 @@ def with_reference(noise: float, runs: int, shapes: int = 10) -> None:
         for what, reference in references.items():
             made = tn.recalibrate(run, known, [int(ids[REPLACED])], reference=reference)
             new, c = made.calibration.alpha[REPLACED], made.calibration
-            # Beside the error that the earlier alpha has already.
+            # Without the error of the earlier alpha.
             before = 0.8 * known.statistical_error[REPLACED]
             stated = np.sqrt(c.statistical_error[REPLACED] ** 2 - before**2)
             found[what].append((new / truth - 1, stated / truth))
@@ -373,7 +372,7 @@ def with_reference(noise: float, runs: int, shapes: int = 10) -> None:
 
 
 def main() -> None:
-    """Run all; 0 leaves a part out."""
+    """Run all parts; 0 skips a part."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--mirrors", type=int, default=1000)

@@ -3,9 +3,9 @@
     python -m studies.turbulence [--rings 32] [--spokes 80] [--aotools]
 
 Noll's residuals, Sasiela and Shelton's tilt with outer scale, and Karhunen-Loeve spectra, all from
-`wavefront_covariance` on a grid of rings x spokes over the disc, weighted as Gauss does it in rho^2
-and evenly in angle. The spectra stand beside the eigenvalues of Zernike covariances in closed form,
-which know nothing of the grid, nor of Bessel's K. In units of (D / r0)^(5/3) rad^2.
+`wavefront_covariance` on a grid of rings x spokes over the disc, with Gauss quadrature in rho^2 and
+equal weights in angle. The spectra are compared with the eigenvalues of Zernike covariances in
+closed form, which use neither the grid nor Bessel's K. The unit is (D / r0)^(5/3) rad^2.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from truenewton.modal.turbulence import SPECTRUM, WAVELENGTH, Atmosphere, wavefr
 Array = np.ndarray
 
 DIAMETER = 8.0
-# Noll 1976 (JOSA 66, 207), Table IV: left over once the first J Zernikes are corrected. His
-# figures belong to 0.02284 in the spectrum, 0.24 % less than follows from the definition of r0.
+# Noll 1976 (JOSA 66, 207), Table IV: residual after correction of the first J Zernikes. His
+# figures assume 0.02284 in the spectrum, 0.24 % less than follows from the definition of r0.
 NOLL = [
     1.0299, 0.582, 0.134, 0.111, 0.0880, 0.0648, 0.0587, 0.0525, 0.0463, 0.0401, 0.0377,
     0.0352, 0.0328, 0.0304, 0.0279, 0.0267, 0.0255, 0.0243, 0.0232, 0.0220, 0.0208,
@@ -33,7 +33,7 @@ NOLL_SPECTRUM = 0.02284
 
 
 def disc(rings: int, spokes: int) -> tuple[Array, Array, Array]:
-    """Return points x, y of the unit disc and their weights, of sum 1."""
+    """Return points x, y of the unit disc and their weights, whose sum is 1."""
     t, weight = np.polynomial.legendre.leggauss(rings)
     angle = 2 * np.pi * np.arange(spokes) / spokes
     point = np.outer(np.sqrt((1 + t) / 2), np.exp(1j * angle)).ravel()
@@ -41,7 +41,7 @@ def disc(rings: int, spokes: int) -> tuple[Array, Array, Array]:
 
 
 def on_grid(ratio: float, x: Array, y: Array, weight: Array) -> Array:
-    """Return the covariance over the disc for D / L0 = ratio, the weighted mean out of it."""
+    """Return the covariance over the disc for D / L0 = ratio, without the weighted mean."""
     atmosphere = Atmosphere(0.8, DIAMETER / ratio if ratio else np.inf)
     C = wavefront_covariance(x * DIAMETER / 2, y * DIAMETER / 2, atmosphere)
     C /= (WAVELENGTH / (2 * np.pi)) ** 2 * (DIAMETER / atmosphere.fried_parameter) ** (5 / 3)
@@ -50,7 +50,7 @@ def on_grid(ratio: float, x: Array, y: Array, weight: Array) -> Array:
 
 
 def residuals(C: Array, x: Array, y: Array, weight: Array) -> Array:
-    """Return what is left over once the first J Zernikes are corrected, J = 1 .. 21."""
+    """Return the residual after correction of the first J Zernikes, J = 1 .. 21."""
     Z = weight[:, None] * zernike(len(NOLL), x, y)
     return weight @ np.diag(C) - np.cumsum(np.einsum("pj,pq,qj->j", Z, C, Z, optimize=True))
 
@@ -99,7 +99,7 @@ def closed_spectrum(ratio: float, count: int, size: int = 12) -> Array:
 
 
 def tilt_attenuation(ratio: float) -> float:
-    """Return the variance of tilt over Kolmogorov's for D / L0 = ratio.
+    """Return the variance of tilt relative to Kolmogorov's for D / L0 = ratio.
 
     Sasiela and Shelton 1993, J. Math. Phys. 34, 2572: a series, its coefficients as printed.
     """
@@ -110,8 +110,8 @@ def tilt_attenuation(ratio: float) -> float:
 def of_aotools(ratio: float, count: int) -> Array:
     """Return the eigenvalues by the published package aotools, after Cannon 1996, JOSA A 13, 862.
 
-    Its radial grid errs in proportion to its step; two grids, extrapolated, leave the square. Its
-    von Karman structure function is not a number at r = 0, where it is 0.
+    The error of its radial grid is proportional to the step; extrapolation from two grids makes it
+    quadratic. Its von Karman structure function is NaN at r = 0 instead of 0.
     """
     from aotools.functions import karhunenLoeve as package  # noqa: N813
 

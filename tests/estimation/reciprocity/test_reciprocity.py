@@ -86,7 +86,7 @@ def by_a_glass(places):
 
 
 @pytest.mark.parametrize("model", [replace, by_a_glass])
-def test_displacements_change_with_offsets_as_the_slopes_say(model):
+def test_slopes_are_derivatives_of_displacements_by_offsets(model):
     places = model(small_places())
     values = random_values(np.random.default_rng(0), places.n)
     z = np.random.default_rng(1).standard_normal(places.n)
@@ -102,7 +102,7 @@ def test_displacements_change_with_offsets_as_the_slopes_say(model):
             np.testing.assert_allclose((up - down) / 2e-7, expected, rtol=1e-5, atol=1e-5)
 
 
-def test_a_plate_that_is_plane_is_seen_as_it_is():
+def test_readings_of_a_rigid_plate_are_exact():
     places = small_places()
     values = random_values(np.random.default_rng(0), places.n)
     dx, dy = values.offset
@@ -113,7 +113,7 @@ def test_a_plate_that_is_plane_is_seen_as_it_is():
 
 
 @pytest.mark.parametrize("every_block", [False, True])
-def test_score_and_information_are_those_of_the_likelihood_with_all_of_k(every_block):
+def test_score_and_information_are_those_of_the_full_likelihood(every_block):
     # At any noise without the block of rigid motions, whose terms in t itself are left out, and the
     # nine numbers that bias magnets may change; with it at little.
     level = 1e-4 if every_block else 3e-2
@@ -138,7 +138,7 @@ def test_score_and_information_are_those_of_the_likelihood_with_all_of_k(every_b
 
 
 @pytest.mark.parametrize(("spread", "offset"), [(np.inf, 0.0), (0.02, 5e-4)])
-def test_scatter_is_the_bound_and_intervals_cover(spread, offset):
+def test_errors_reach_the_bound_and_intervals_cover(spread, offset):
     asked, squares, bounds, inside = Request(spread, offset), [], [], []
     for seed in range(30):
         gain = 0.02 if spread else 0.0
@@ -174,7 +174,7 @@ def relative_error(calibration, truth):
     return float(np.std(error))
 
 
-def test_a_campaign_gives_better_alpha_and_the_sensors(tmp_path):
+def test_a_campaign_with_position_gives_better_alpha_and_sensors(tmp_path):
     campaign, truth = p45_campaign(), p45_bench().truth
     by_balance, made = calibrate(campaign), calibrate(campaign, "reciprocity")
     assert relative_error(made, truth.alpha) < 0.6 * relative_error(by_balance, truth.alpha)
@@ -196,7 +196,7 @@ def test_a_campaign_gives_better_alpha_and_the_sensors(tmp_path):
     assert any(row.startswith("  sensors") for row in detail_lines(made))
 
 
-def test_with_a_model_of_the_glass_the_readings_of_annuli_fit():
+def test_readings_of_annuli_fit_with_a_model_of_the_glass():
     bench = p45_bench()
     motion = puck_motion(bench.glass)
     work = motion.T @ bench.glass.stiffness
@@ -217,7 +217,7 @@ def asymmetry_of_work(places, values, stiffness):
     return np.linalg.norm(work - work.T) / np.linalg.norm(work + work.T)
 
 
-def test_with_a_model_of_the_glass_annuli_off_their_magnets_are_exact():
+def test_offset_annuli_are_exact_with_a_model_of_the_glass():
     """To first order also where the sensors of some actuators that are left free go with them."""
     glass, layout = p45_bench().glass, p45_bench().mirror.layout
     motion, keep = p45_motion(), ~np.isin(np.arange(layout.n), [3, 20])
@@ -240,7 +240,7 @@ def test_with_a_model_of_the_glass_annuli_off_their_magnets_are_exact():
 
 
 @pytest.mark.study
-def test_errors_hold_where_annuli_are_off_their_magnets_and_the_glass_is_known():
+def test_errors_cover_offset_annuli_only_with_a_model_of_the_glass():
     glass, layout = p45_bench().glass, p45_bench().mirror.layout
     rows = []
     for seed in range(3):
@@ -260,7 +260,7 @@ def test_errors_hold_where_annuli_are_off_their_magnets_and_the_glass_is_known()
     assert by_plate_alone[1] < 0.75 < 0.9 < by_model[1]
 
 
-def test_auto_is_ml_where_positions_are_missing_or_of_other_sensors():
+def test_auto_uses_ml_if_positions_are_missing_or_exchanged():
     campaign = p45_campaign(cycles=2)
     bare = changed(campaign, position=None)
     with pytest.raises(RankDeficient, match="POSITION"):
@@ -290,7 +290,7 @@ def plate_matrix(seed, *, gain=0.004, noise=30.0, offset=5e-4):
     return matrix, values.alpha
 
 
-def test_errors_hold_where_soft_modes_are_lost_in_noise():
+def test_errors_cover_if_soft_modes_are_below_the_noise():
     # Were it shared by halves, the error would be half as large again and a fifth left uncovered.
     mirror, errors, stated, inside = ring(114), [], [], []
     stiffness = model_shell(mirror).stiffness
@@ -319,7 +319,7 @@ def test_a_matrix_with_a_block_of_dead_sensors_is_refused_as_by_ml():
             calibrate(replace(matrix, stiffness=stiffness), method)
 
 
-def test_a_sensor_that_reads_a_mixture_is_left_free_and_its_actuator_stays():
+def test_a_sensor_that_reads_a_mixture_is_free_and_its_actuator_kept():
     matrix, alpha = plate_matrix(1)
     mixture = np.eye(45)
     mixture[7] = 0.3 * np.random.default_rng(1).standard_normal(45)
@@ -335,7 +335,7 @@ def test_a_sensor_that_reads_a_mixture_is_left_free_and_its_actuator_stays():
 
 
 @pytest.mark.study
-def test_of_sensors_that_read_mixtures_nearly_all_are_found():
+def test_nearly_all_sensors_that_read_mixtures_are_found():
     found = 0
     for seed in range(30):
         mixture = np.eye(45)
@@ -345,7 +345,7 @@ def test_of_sensors_that_read_mixtures_nearly_all_are_found():
     assert found >= 27
 
 
-def test_no_sound_actuator_of_hundreds_is_odd():
+def test_no_false_positives_among_hundreds_of_actuators():
     """Factors of neighbours add up over many of them: they must have settled."""
     stiffness = static_bench(mmt336(), 1).truth.stiffness
     random, n = np.random.default_rng(0), len(stiffness)
@@ -369,7 +369,7 @@ def test_noise_of_a_condensed_stiffness_is_that_of_its_elements():
     np.testing.assert_allclose(scatter, wanted, rtol=0.25)
 
 
-def test_the_glass_goes_with_reciprocity_and_its_own_mirror_and_a_population_with_ml():
+def test_options_of_other_methods_are_refused():
     with pytest.raises(UnknownName, match="ml does not use"):
         calibrate(p45_campaign(), "ml", motion=np.eye(45))
     with pytest.raises(CampaignMismatch, match="actuators of P45"):
@@ -378,7 +378,7 @@ def test_the_glass_goes_with_reciprocity_and_its_own_mirror_and_a_population_wit
         calibrate(p45_campaign(), "reciprocity", population=True)
 
 
-def test_a_drift_that_ml_takes_out_does_not_come_back():
+def test_auto_uses_ml_if_ml_corrects_a_drift():
     """All alphas fall by 1 % from one load to the other: 1 % or more of the common scale."""
     campaign = p45_campaign()
     hours = np.array([(c.date - campaign.cycles[0].date).total_seconds() for c in campaign.cycles])
@@ -396,7 +396,7 @@ def test_a_drift_that_ml_takes_out_does_not_come_back():
     assert not any(effect.corrected for effect in forced.effects)
 
 
-def test_noise_that_many_actuators_share_is_left_to_ml():
+def test_auto_uses_ml_if_noise_is_shared_by_many_actuators():
     campaign, random = p45_campaign(), np.random.default_rng(1)
     noise = 1e-3 * campaign.layout.nz
     shared = changed(
@@ -408,7 +408,7 @@ def test_noise_that_many_actuators_share_is_left_to_ml():
     assert any(each.cause.code == "shared-noise" for each in made.verdict.notes)
 
 
-def test_with_the_glass_reciprocity_is_taken_where_it_holds_from_every_door(inside, tmp_path):
+def test_every_command_uses_reciprocity_with_a_model_of_the_glass(inside, tmp_path):
     campaign = p45_campaign()
     assert calibrate(campaign).method == "ml"
     write_campaign(campaign.cycles, tmp_path / "day")
@@ -424,7 +424,7 @@ def test_with_the_glass_reciprocity_is_taken_where_it_holds_from_every_door(insi
     assert "ml does not use what the sensors read" in err
 
 
-def test_ml_is_advised_only_where_it_was_not_taken(monkeypatch):
+def test_ml_is_advised_only_if_it_was_not_used(monkeypatch):
     campaign = p45_campaign(cycles=2)
     monkeypatch.setattr(iteration, "MAX_STEPS", 1)
     with pytest.raises(NotConverged, match="or use ml"):

@@ -16,7 +16,7 @@ CASES = [("equal", 3), *(pytest.param(law, 5, marks=pytest.mark.study) for law i
 
 
 @pytest.mark.parametrize(("law", "seeds"), CASES)
-def test_errors_of_alpha_and_sensors_are_valid_whatever_law_the_noise_follows(law, seeds):
+def test_errors_of_alpha_and_sensors_are_valid_for_all_noise_models(law, seeds):
     """By the fit's own covariance they were too small, and too large for equal noise."""
     mirror, n = ring(36), 36
     true = model_shell(mirror).stiffness
@@ -47,7 +47,7 @@ def test_errors_of_alpha_and_sensors_are_valid_whatever_law_the_noise_follows(la
     assert (rms < 1.35).all(), rms
 
 
-def test_a_fit_is_settled_where_sensors_scatter_less_than_noise_resolves():
+def test_a_fit_converges_if_sensors_scatter_less_than_the_noise():
     """Each spread was then only slightly less than the one before, and the fit stopped too soon."""
     matrix, _ = p45_matrix(noise=5e-4)
     modes = modes_of(matrix.layout, MatrixFacts.of(matrix))
