@@ -377,7 +377,7 @@ def rings336() -> Mirror:
 
 def large_mirror(mirror: Mirror, count: int, noises: Sequence[float]) -> None:
     """Print the errors for a large mirror with two cycles, for increasing noise."""
-    print_head("noise, bound, patterns that drown")
+    print_head("noise, bound, undetermined patterns")
     for noise in noises:
         simulated = simulation(mirror, (tn.Load("bare"), _ring(mirror)), noise)
         bound = bounds(simulated, 2)

@@ -1,4 +1,4 @@
-"""What becomes of alpha, and what is said, when a bench or a file does what the model does not.
+"""Errors of alpha and reported messages for simulated faults of the bench and of files.
 
     python -m studies.faults [--seeds 24] [--noise 1e-3 5e-5] [--only NAME ...] [--cycles 4]
     python -m studies.faults --only clean --seeds 1000      rate of false messages

@@ -91,7 +91,7 @@ def of_sensors(made):
     print(f"    left free: {free or 'none'}")
     for what, values in (("alpha", made.alpha), ("gain", gain)):
         named = ", ".join(f"{one} {value:.3f}" for one, value in outliers(values, layout))
-        print(f"    {what} stands off: {named or 'none'}")
+        print(f"    {what} outliers: {named or 'none'}")
     far = np.hypot(x, y)
     worst = np.argsort(-np.nan_to_num(far))[:6]
     print("    farthest off their magnets [mm]: "

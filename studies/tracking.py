@@ -145,7 +145,7 @@ def rate(hits: list[bool]) -> str:
 def alarms(pattern: tn.Calibration, mirrors: int) -> None:
     """Print the rate of false outliers."""
     false = [bool(tn.track(*World(pattern, 10_000 + s).days).outliers) for s in range(mirrors)]
-    print(f"nobody left, {mirrors} mirrors\n  any false alarm (stated 1 %)        {rate(false)}")
+    print(f"no outlier, {mirrors} mirrors\n  any false alarm (stated 1 %)        {rate(false)}")
 
 
 STEP = 0.01
@@ -202,7 +202,7 @@ def scatter(pattern: tn.Calibration, noise: float, seeds: int, own: float, commo
         alone.append(len(set(names) - {int(pattern.layout.id[REPLACED])}) == 0)
     print(f"scatter {100 * own:g} % each, {100 * common:g} % in common, {1e3 * noise:g} mN,"
           f" {seeds} mirrors")  # fmt: skip
-    print(f"  innocents named                     {rate(false)}")
+    print(f"  others reported as changed          {rate(false)}")
     print(f"  mean of k in its 95 % interval      {rate(mean)}")
     print(f"  95 % intervals of k cover           {share(ofk)}")
     print(f"  RMS error of k                      {np.sqrt(np.mean(off)):.3g}/K")
@@ -242,7 +242,7 @@ def drifted(noise: float, runs: int, drift: float) -> None:
     print(f"others drifted by {100 * drift:g} % each before a short run, {1e3 * noise:g} mN,"
           f" {runs} runs")  # fmt: skip
     print(f"  found                               {100 * np.sqrt(np.mean(np.square(found))):.2g} %")
-    print(f"  innocents named                     {rate(false)}")
+    print(f"  others reported as changed          {rate(false)}")
     print(f"  95 % intervals of the new alpha     {rate(list(inside))}")
     print(f"  RMS error of the new alpha          {np.sqrt(np.mean(np.square(off))):.2g}")
     print(f"  a step of 1 % named, and nobody else  {rate(named)}")
@@ -319,7 +319,7 @@ def replacements(noise: float, runs: int) -> None:
     print(f"  bias / scatter                      {np.mean(off) / np.std(off):.3f}"
           f" +- {1 / np.sqrt(runs):.3f}")  # fmt: skip
     print(f"  95 % intervals (E_STAT) cover       {rate(list(inside))}")
-    print(f"  others said to have moved (1 %)     {rate(false)}")
+    print(f"  others reported as changed (1 %)    {rate(false)}")
     print(f"  the same, nobody replaced or named  {rate(false_auto)}")
     print(f"  a second change of {100 * (both[SECOND] - 1):.1f} % found, alone  {rate(found)}")
 
@@ -368,7 +368,7 @@ def with_reference(noise: float, runs: int, shapes: int = 10) -> None:
         print(f"  {what:24s} RMS error of alpha {np.sqrt(np.mean(off**2)):.2g}, stated"
               f" {np.sqrt(np.mean(stated**2)):.2g}, 95 % intervals cover"
               f" {rate(list(np.abs(off) <= TWO_SIGMA * stated))}")  # fmt: skip
-    print(f"  others said to have moved (1 %)     {rate(false)}")
+    print(f"  others reported as changed (1 %)    {rate(false)}")
 
 
 def main() -> None:

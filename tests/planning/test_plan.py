@@ -386,7 +386,7 @@ def test_the_template_is_a_plan_that_predicts(inside, tmp_path, file):
     assert " 2 0 % 0 % 0.17 %" in " ".join(out.split())
 
 
-def test_shapes_that_drown_in_the_noise_of_sensors_are_foretold(ready):
+def test_shapes_below_the_noise_of_sensors_are_predicted(ready):
     """If `acquire` would report noise as an actuator that is not at its place."""
     strokes = np.abs(ready.shapes).max(axis=1)
     for border in (0.99 * strokes.min(), np.median(strokes)):
