@@ -346,6 +346,18 @@ def test_rows_may_have_names_where_columns_have_none(tmp_path):
         np.testing.assert_array_equal(kept, CASE.k[:4, :4])
 
 
+@pytest.mark.parametrize("between", ["\n", ","])
+def test_ids_that_are_texts_can_be_in_a_file(tmp_path, between):
+    names = [f"A{i:02d}" for i in range(N)]
+    order = np.random.default_rng(1).permutation(N)
+    lines = [f"{names[i]},{XY[0][i]},{XY[1][i]}" for i in order]
+    (tmp_path / "xy.csv").write_text("\n".join(["ID,x,y", *lines]))
+    (tmp_path / "ids.txt").write_text(between.join(["ID", *names]))
+    made = tn.stiffness_from(CASE.k, tmp_path / "xy.csv", ids=tmp_path / "ids.txt")
+    np.testing.assert_allclose(made.matrix.layout.x, XY[0])
+    assert made.matrix.layout.shown.tolist() == [f"{k} ({name})" for k, name in enumerate(names, 1)]
+
+
 def test_positions_without_ids_are_told_which_columns_there_are(tmp_path):
     order = np.random.default_rng(1).permutation(N)
     rows = np.stack([CASE.layout.id, *XY]).T[order]

@@ -62,7 +62,7 @@ QUICK = {fault.happens.__module__: fault for fault in faults.ALL}.values()  # on
 )
 def test_a_faulty_bench_is_in_balance(fault):
     """What goes wrong in `studies/faults.py` goes wrong as physics: nothing is left over."""
-    day = faults.happening(fault, "p45", seed=1, noise=0.0, cycles=2)
+    day = faults.day_with_fault(fault, "p45", seed=1, noise=0.0, cycles=2)
     assert np.abs(day.imbalance).max() < 1e-12
     if fault.happens.__module__ != "studies.faulty.forces":
         weight = -2.920 - 0.289 * day.load
@@ -82,7 +82,7 @@ def test_a_faulty_bench_reads_what_its_coils_give(name):
 @pytest.mark.study
 def test_a_bench_without_fault_is_covered():
     clean = faults.ALL[0]
-    days = [faults.happening(clean, "p45", seed, 1e-3, 4) for seed in range(6)]
+    days = [faults.day_with_fault(clean, "p45", seed, 1e-3, 4) for seed in range(6)]
     figures = faults.summary(clean, [faults.trial(day) for day in days])
     assert figures["verdict"] == "covered"
     assert figures["covers"] > 93

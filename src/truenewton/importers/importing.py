@@ -260,10 +260,15 @@ def _names(
     """Return the IDs of the rows, or None."""
     if ids is None:
         return channels
-    if isinstance(ids, str | os.PathLike):
-        every = [item.values.ravel() for item in read_stored(ids).every.values()]
-        return integers_or_texts(every[0] if every else [])
-    return integers_or_texts(ids)
+    if not isinstance(ids, str | os.PathLike):
+        return integers_or_texts(ids)
+    path = Path(ids)
+    if path.suffix.lower() in (".csv", ".txt") and path.is_file():
+        words = path.read_text(encoding="utf-8-sig", errors="replace").replace(",", " ").split()
+        if words and not any(word[0].isdigit() for word in words):  # texts, and perhaps a header
+            return integers_or_texts(words[words[0].lower() in ("id", "ids") :])
+    every = [item.values.ravel() for item in read_stored(ids).every.values()]
+    return integers_or_texts(every[0] if every else [])
 
 
 def _ways(
