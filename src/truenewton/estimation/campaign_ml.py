@@ -187,8 +187,9 @@ def _examined(
         return _inflated(plain, plain.excess), ()
     left = examined(plain, screened.structure, screened.samples)
     unseen = unseen_errors(left.rows)
-    left = replace(left, minimum=with_magnets_unsure(left.rows, left.effects))
-    left = replace(left, minimum=with_positions_unsure(left.rows, left.effects))
+    for with_more in (with_magnets_unsure, with_positions_unsure):
+        problem, minimum = with_more(left.rows, left.effects)
+        left = replace(left, problem=problem, minimum=minimum)
     return left if left.fits or left.explained else _inflated(left, left.excess), unseen
 
 

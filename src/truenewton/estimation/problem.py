@@ -74,6 +74,9 @@ class Problem:
     # corrected.
     moved: Array | float = 0.0
     disturbance: Array | float = 0.0  # (3, 3) of `DataSet`
+    # (t, t) covariance of the unknowns from the effects that were taken out of the data, or that
+    # only the errors contain; every fit has it.
+    by_effects: Array | float = 0.0
 
     @cached_property
     def dependent(self) -> bool:
@@ -119,7 +122,17 @@ class Problem:
         """Return the likeliest values, from a (u,) start if there is a better one than usual."""
         data = self.data(moments)
         begin = start_values(self.a, data, self.prior) if start is None else start
-        return minimise(self.a, data, self.prior, begin)
+        minimum = minimise(self.a, data, self.prior, begin)
+        covariance = minimum.reading_covariance + self.by_effects
+        return replace(minimum, reading_covariance=covariance)
+
+    def with_error(self, minimum: Minimum, moves: Array, covariance: Array) -> Fitted:
+        """Return problem and fit with B' C B, (k, k) C and (k, free) B, in their covariance."""
+        t = min(len(minimum.reading_covariance), moves.shape[1])
+        added = np.zeros_like(minimum.reading_covariance)
+        added[:t, :t] = moves[:, :t].T @ covariance @ moves[:, :t]
+        fitted = replace(minimum, reading_covariance=minimum.reading_covariance + added)
+        return replace(self, by_effects=self.by_effects + added), fitted
 
     def imbalance(self, values: Array, moments: Moments) -> tuple[Array, Array]:
         """Return (g, 3) rho of the groups, and S."""

@@ -196,16 +196,16 @@ def gain_by_load(fit: FittedRows) -> Derivative | None:
     return replace(readings, remove=remove, jacobian=jacobian)
 
 
-def zero_by_file(fit: FittedRows, *, each: bool, at_rest: bool = False) -> Derivative | None:
+def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     """Return zeros of the readings that differ between files, the same for all or of each.
 
-    With ``at_rest`` without the direction that changes the sum of the forces: a load was put on at
-    another place. With this direction the scale would be lost.
+    Those of each have a spread of their own along the direction that changes the sum of the forces.
+    It is large if all share a part of the zeros, and 0 if a load was put on at another place.
     """
     within = fit.moments.within
     if len(within.weight) < MIN_FILES:
         return None
-    direction = fit.scaled_arms[0] if at_rest else None
+    direction = fit.scaled_arms[0] if each else None
     return derivative_of(fit, _sums(fit, "zero"), _files(within), each=each, direction=direction)
 
 
@@ -337,12 +337,10 @@ ZEROS_OF_EACH = Effect(
     Code.ZERO_BY_FILE_OF_EACH, "N", partial(zero_by_file, each=True), _ZERO, "file"
 )
 # Zeros of each actuator are this if they do not change the sums of the forces.
-LOAD_REPOSITIONED = Effect(
-    Code.LOAD_REPOSITIONED,
-    "N",
-    partial(zero_by_file, each=True, at_rest=True),
-    "put loads on at the same place, and hold the same shape at rest, each time",
-    "file",
+LOAD_REPOSITIONED = replace(
+    ZEROS_OF_EACH,
+    code=Code.LOAD_REPOSITIONED,
+    remedy="put loads on at the same place, and hold the same shape at rest, each time",
 )
 POSITIONS = Effect(Code.POSITIONS, "m", positions, "measure X and Y of the magnets", "actuator")
 

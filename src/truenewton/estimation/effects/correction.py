@@ -16,6 +16,15 @@ Newton step with its score and information, all else being free. The data determ
 
     tau^2 <- sum theta^2 / nu,        nu = sum (1 - C_ii / tau^2).
 
+Zeros of each actuator in each file have two spreads: one of their sums over actuators, weighted as
+forces, and one of all else. A sum moves the common scale, and zeros that all actuators share move
+it most.
+
+A spread found from nu parameters is uncertain, and theta with it: its distribution is Student's t
+(Box and Tiao 1973, Bayesian Inference in Statistical Analysis, 2.7). So C of the result has tau^2
+larger by (t_nu / 1.96)^2, with the limits of 95 % of both distributions. The covariance B' C B of
+every correction is added to that of the unknowns, in every later fit (`Problem.with_error`).
+
 Under two loads the sums of the forces at rest are two equations for two unknowns, the common scale
 and B, and no test is possible (docs/effects.md). An effect of parameters theta, of usual size s,
 moves alpha by -B' theta, and the common scale by -(B v)' theta, with v the direction of a common
@@ -36,7 +45,7 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
-from truenewton.chance import OF_EACH_KIND, chance_of_any
+from truenewton.chance import OF_EACH_KIND, chance_of_any, normal_isf, t_isf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.effects.catalogue import (
     POSITIONS,
@@ -45,7 +54,7 @@ from truenewton.estimation.effects.catalogue import (
     on_loads,
     parts_of_positions,
 )
-from truenewton.estimation.effects.derivative import FittedRows, log_chance, scored
+from truenewton.estimation.effects.derivative import Derivative, FittedRows, log_chance, scored
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import (
     MAGNET_COEFFICIENT,
@@ -57,7 +66,7 @@ from truenewton.estimation.findings.estimate import (
 )
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import Minimum
-from truenewton.estimation.problem import Problem
+from truenewton.estimation.problem import Fitted, Problem
 from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.linalg import inverse_of_positive
 from truenewton.records.campaign import load_temperatures
@@ -119,10 +128,62 @@ class Correction:
     theta: Array
     covariance: Array
     effective_parameters: float
+    # (1,) their tau^2; (2,) if they have a direction: of all else, and along it
+    variances: Array
     # The data without it and their fit, whose covariance includes the error of the effect
-    problem: Problem
     moments: Moments
+    problem: Problem
     minimum: Minimum
+
+
+@dataclass(frozen=True, eq=False)
+class Spreads:
+    """Parameters (k,) whose prior has one variance, or one more along a direction.
+
+    (1,) of all parameters; or (2,) of all else, and of those along the direction.
+    """
+
+    count: int  # k
+    unit: Array | None  # (n,) the direction of parameters (K, n) of each actuator, of length 1
+
+    @classmethod
+    def of(cls, derivative: Derivative) -> Spreads:
+        """Return the components of the parameters of an effect."""
+        along = derivative.direction
+        return cls(derivative.count, None if along is None else along / np.linalg.norm(along))
+
+    def along(self, values: Array) -> Array:
+        """Return (K,) parameters along the direction of (k,), or (K, K) of a (k, k) matrix."""
+        assert self.unit is not None  # asked only of effects with a direction
+        n = len(self.unit)
+        each = values.reshape((len(values) // n, n) * values.ndim) @ self.unit
+        return np.asarray(each if values.ndim == 1 else np.einsum("kil,i->kl", each, self.unit))
+
+    def _parts(self, whole: float, along: float) -> Array:
+        return np.array([whole] if self.unit is None else [whole - along, along])
+
+    def sizes(self) -> Array:
+        """Return the number of parameters of each component."""
+        return self._parts(self.count, self.count / np.size(self.unit))
+
+    def squares(self, theta: Array) -> Array:
+        """Return the sum of the squares of each component."""
+        along = 0.0 if self.unit is None else float(np.sum(self.along(theta) ** 2))
+        return self._parts(float(theta @ theta), along)
+
+    def precision(self, variances: Array) -> Array:
+        """Return the (k, k) inverse of the prior covariance."""
+        diagonal = np.eye(self.count) / variances[0]
+        if self.unit is None:
+            return diagonal
+        apart = 1.0 / variances[1] - 1.0 / variances[0]
+        files = np.eye(self.count // len(self.unit))
+        return np.asarray(diagonal + np.kron(files, apart * np.outer(self.unit, self.unit)))
+
+    def determined(self, covariance: Array, variances: Array) -> Array:
+        """Return nu of each component."""
+        along = 0.0 if self.unit is None else float(np.trace(self.along(covariance)))
+        return self.sizes() - self._parts(float(np.trace(covariance)), along) / variances
 
 
 def correction(fit: FittedRows, effect: Effect) -> Correction | None:
@@ -131,26 +192,31 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     # A matrix of 10,000 parameters takes 0.8 GB, and several are needed.
     if first is None or first.count > 10_000:
         return None
-    result, theta = scored(fit, first), np.zeros(first.count)
+    result, theta, spreads = scored(fit, first), np.zeros(first.count), Spreads.of(first)
     # A first spread from the score itself: U U' = V of the effect, on the average.
     size = np.trace(result.variance) / np.sum(result.variance**2)
-    tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
-    at, derivative, settled = fit, first, False
+    variance = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
+    variances = np.full(len(spreads.sizes()), variance)
+    at, derivative, settled, seen = fit, first, False, None
     for _ in range(30):
-        information = result.information + np.eye(len(theta)) / tau2
+        precision = spreads.precision(variances)
         try:  # an effect without any size does not converge
-            inverse = inverse_of_positive(0.5 * (information + information.T), overwrite=True)
+            inverse = _covariance(result.information, precision)
         except np.linalg.LinAlgError:
             return None
-        uphill = result.score + theta / tau2
-        effective_parameters = float(np.sum(1.0 - np.diag(inverse) / tau2))
+        step = -inverse @ (result.score + precision @ theta)
+        nu = np.maximum(spreads.determined(inverse, variances), 1e-3)
+        seen = nu if seen is None else np.maximum(seen, nu)
         # Theta has converged if its step is below 0.01 standard errors.
-        if settled and float(uphill @ inverse @ uphill) < 1e-4:
-            minimum = with_error(at.minimum, result.moves, inverse)
-            return Correction(theta, inverse, effective_parameters, at.problem, at.moments, minimum)
-        theta = theta - inverse @ uphill
-        before, tau2 = tau2, max(float(theta @ theta) / max(effective_parameters, 1e-3), 1e-300)
-        settled = abs(np.log(before / tau2)) < 1e-2
+        if settled and float(step @ result.information @ step) < 1e-4:
+            wide = variances * (1.0 + (excess_of_t(seen) - 1.0) * seen / nu)
+            inverse = _covariance(result.information, spreads.precision(wide))
+            fitted = at.problem.with_error(at.minimum, result.moves, inverse)
+            return Correction(theta, inverse, float(nu.sum()), variances, at.moments, *fitted)
+        theta = theta + step
+        before, variances = variances, np.maximum(spreads.squares(theta) / nu, 1e-300)
+        # A spread has converged if it moves by less than 1 % of the scatter of its parameters.
+        settled = bool((np.abs(variances - before) < 1e-2 * variances * seen / nu).all())
         problem, moments = derivative.remove(fit.problem, fit.moments, theta)
         problem = _with_new_noise(problem, moments)
         try:
@@ -166,6 +232,21 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     return None
 
 
+def _covariance(information: Array, precision: Array) -> Array:
+    """Return the (k, k) covariance of theta."""
+    whole = information + precision
+    return inverse_of_positive(0.5 * (whole + whole.T), overwrite=True)
+
+
+def excess_of_t(freedom: Array) -> Array:
+    """Return the square of the 95 % limit of Student's t over that of the normal distribution.
+
+    A variance of fewer than one parameter is taken for one of one.
+    """
+    tail = 0.5 * (1.0 - 0.95)
+    return np.asarray((t_isf(tail, np.maximum(freedom, 1.0)) / normal_isf(tail)) ** 2)
+
+
 def _with_new_noise(problem: Problem, moments: Moments) -> Problem:
     """Return the problem with the noise of repeats without the effect."""
     if problem.noise.source != NoiseSource.REPEATS:
@@ -173,14 +254,6 @@ def _with_new_noise(problem: Problem, moments: Moments) -> Problem:
     noise = reading_noise(problem.campaign, moments)
     share, freedom = problem.noise.share, problem.noise.share_freedom
     return replace(problem, noise=replace(noise, share=share, share_freedom=freedom))
-
-
-def with_error(minimum: Minimum, moves: Array, covariance: Array) -> Minimum:
-    """Return a minimum with B' C B added to its covariance, (k, k) C and (k, free) B."""
-    added = minimum.reading_covariance.copy()
-    t = min(len(added), moves.shape[1])
-    added[:t, :t] += moves[:, :t].T @ covariance @ moves[:, :t]
-    return replace(minimum, reading_covariance=added)
 
 
 # -- effects that the data cannot show -------------------------------------------------------------
@@ -294,53 +367,56 @@ def moves_by_static_gain(fit: FittedRows, solved: Array) -> tuple[Array, Array]:
     return along, theta
 
 
-def with_magnets_unsure(fit: FittedRows, effects: Sequence[Finding]) -> Minimum:
-    """Return the minimum with the error that bias magnets have if coils lose force under a load.
+def with_magnets_unsure(fit: FittedRows, effects: Sequence[Finding]) -> Fitted:
+    """Return problem and fit with the error of bias magnets if coils lose force under a load.
 
     Coils that lose theta may be warmer by theta / `MAGNET_COEFFICIENT`. Then the bias magnets are
     warmer too, which only TEMPERATURE would show. If the mirror leans they have moved instead, and
     so have the bias magnets, which only COILGRAD and BIASGRAD show.
     """
-    minimum = fit.minimum
+    problem, minimum = fit.problem, fit.minimum
     lost = [e for e in effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
-    loads, ratio = fit.problem.campaign.loads, bias_per_gain(fit.problem.campaign)
+    loads, ratio = problem.campaign.loads, bias_per_gain(problem.campaign)
     if not lost:
-        return minimum
+        return problem, minimum
     size, where = lost[0].size, [load.name == lost[0].where for load in loads]
     if not (leaning(loads) & where).any():
         change = warmer_magnets(fit)
         size /= MAGNET_COEFFICIENT
     else:
         coil, bias = TYPICAL_GRADIENTS
-        change = fit.problem.n * bias / coil * on_loads(fit, where) if ratio is None else None
+        change = problem.n * bias / coil * on_loads(fit, where) if ratio is None else None
     if change is None:
-        return minimum
+        return problem, minimum
     derivative = on_balance(fit, change)
-    return with_error(minimum, scored(fit, derivative).moves, size**2 * np.eye(derivative.count))
+    covariance = size**2 * np.eye(derivative.count)
+    return problem.with_error(minimum, scored(fit, derivative).moves, covariance)
 
 
-def with_positions_unsure(fit: FittedRows, effects: Sequence[Finding]) -> Minimum:
-    """Return the minimum with the declared uncertainty of positions in its covariance.
+def with_positions_unsure(fit: FittedRows, effects: Sequence[Finding]) -> Fitted:
+    """Return problem and fit with the declared uncertainty of positions in their covariance.
 
     If the data determine the positions, with their own estimate of the uncertainty instead.
     """
-    layout = fit.problem.campaign.layout
+    problem, minimum = fit.problem, fit.minimum
+    layout = problem.campaign.layout
     if layout.x_error is None and layout.y_error is None:
-        return fit.minimum
+        return problem, minimum
     if any(effect.code == POSITIONS.code for effect in effects):
-        return fit.minimum  # they are unknowns already
+        return problem, minimum  # they are unknowns already
     taken_out = correction(fit, POSITIONS)
     if taken_out is not None:
-        return taken_out.minimum
+        return taken_out.problem, taken_out.minimum
     errors = np.array(
         [
-            np.zeros(fit.problem.n) if error is None else error[layout.enabled]
+            np.zeros(problem.n) if error is None else error[layout.enabled]
             for error in (layout.x_error, layout.y_error)
         ]
     )
-    minimum, first = fit.minimum, 0
+    first = 0
     for part in parts_of_positions(fit):  # B of all of them does not fit into memory
         those = errors[:, first : first + part.count // 2]
         first += part.count // 2
-        minimum = with_error(minimum, scored(fit, part).moves, np.diag(those.ravel() ** 2))
-    return minimum
+        covariance = np.diag(those.ravel() ** 2)
+        problem, minimum = problem.with_error(minimum, scored(fit, part).moves, covariance)
+    return problem, minimum

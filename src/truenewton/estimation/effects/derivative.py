@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -282,16 +282,8 @@ class Derivative:
     spurious: Callable[[], tuple[Array, Array | float]] | None = None
     # Indices of the actuators that have parameters; None if all, or if parameters are shared
     actuators: NDArray[np.intp] | None = None
-    # (n,) of (K, n) parameters of each actuator, along which nothing changes; only without
-    # ``spurious``
+    # (n,) of (K, n) parameters of each actuator, along which they have a spread of their own
     direction: Array | None = None
-
-
-def without_direction(values: Array, direction: Array) -> Array:
-    """Return (..., K n) values of parameters of each actuator, orthogonal to (n,) a direction."""
-    unit = direction / np.linalg.norm(direction)
-    each = values.reshape(*values.shape[:-1], -1, len(unit))
-    return np.asarray((each - (each @ unit)[..., None] * unit).reshape(values.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,9 +350,6 @@ def scored(fit: FittedRows, derivative: Derivative) -> Scored:
     if spurious is not None:
         cross[:, : fit.problem.n] -= spurious  # M_te - D_te
     score = score + derivative.score
-    if derivative.direction is not None:
-        left = partial(without_direction, direction=derivative.direction)
-        score, joint, cross = left(score), left(left(joint).T), left(cross.T).T
     return Scored(
         fit, score, joint, fit.half_solved(cross, overwrite=True), spurious, spurious_information
     )
@@ -385,7 +374,7 @@ def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, A
     if neither can be computed.
     """
     of_each = derivative.of_each
-    if of_each is None or derivative.direction is not None:
+    if of_each is None:
         return None
     if of_each.parts is not None:
         blocks = []  # x, then y, of some actuators

@@ -28,11 +28,11 @@ from truenewton.estimation.effects.catalogue import (
 )
 from truenewton.estimation.effects.correction import (
     Correction,
+    Spreads,
     UnknownForce,
     correction,
     disturbed,
     unknown_force,
-    with_error,
 )
 from truenewton.estimation.effects.derivative import FittedRows
 from truenewton.estimation.findings.code import LIMITS, Code
@@ -192,8 +192,7 @@ def examined(
         if start.too_well:  # even without what readings of a row share
             if before.effects:
                 named_first = before
-            slow = _correlated(start, named_first.effects)
-            return replace(slow, minimum=_with_shift(slow, named_first))
+            return _with_shift(_correlated(start, named_first.effects), named_first)
     best = plain if plain.fits and not start.fits else start
     if not named_first.effects or not named_first.fits:
         for one in (start, plain):
@@ -202,9 +201,8 @@ def examined(
                 return forced
     # Two explanations of the data differ by what alpha may be wrong by.
     return replace(
-        best,
+        _with_shift(best, named_first),
         effects=named_first.effects,
-        minimum=_with_shift(best, named_first),
         explained=bool(named_first.effects) and named_first.fits,
     )
 
@@ -250,8 +248,7 @@ def _corrected(
             corrected = correction(fit, test.effect)
             if corrected is None:
                 continue
-            test, corrected = _as_mounting(fit, test, corrected)
-            trial = _after(now, fit, test, corrected, samples)
+            trial = _after(now, fit, _as_mounting(test, corrected), corrected, samples)
             if trial.fits or after is None:
                 after = trial
             if trial.fits:
@@ -318,14 +315,16 @@ def _correlated(start: ExaminedFit, effects: tuple[Finding, ...]) -> ExaminedFit
         size=start.minimum.chi2 / start.problem.degrees_of_freedom(start.moments),
         remedy="average longer at each shape, and take the shapes of each file in another order",
     )
-    minimum = start.minimum if moved is None else moved.minimum
-    return replace(start, minimum=minimum, effects=(*effects, found))
+    if moved is not None:
+        start = replace(start, problem=moved.problem, minimum=moved.minimum)
+    return replace(start, effects=(*effects, found))
 
 
-def _with_shift(best: ExaminedFit, named_first: ExaminedFit) -> Minimum:
-    """Return the minimum with the shift by the named effect added to its covariance."""
+def _with_shift(best: ExaminedFit, named_first: ExaminedFit) -> ExaminedFit:
+    """Return the fit with the shift by the named effect added to its covariance."""
     moved = named_first.minimum.values - best.minimum.values
-    return with_error(best.minimum, moved[None], np.eye(1))
+    problem, minimum = best.problem.with_error(best.minimum, moved[None], np.eye(1))
+    return replace(best, problem=problem, minimum=minimum)
 
 
 def _similar(found: list[EffectTest]) -> list[EffectTest]:
@@ -337,29 +336,26 @@ def _similar(found: list[EffectTest]) -> list[EffectTest]:
     return sorted(some, key=lambda test: test.derivative.count)
 
 
-def _as_mounting(
-    fit: FittedRows, test: EffectTest, corrected: Correction
-) -> tuple[EffectTest, Correction]:
+def _as_mounting(test: EffectTest, corrected: Correction) -> EffectTest:
     """Return zeros of each actuator as a repositioned load if they leave the sum of forces alone.
 
     Zeros of spread tau would move the sums by tau |nz alpha| in each file, and so spread the scale.
-    This is assumed unless the sums move less than chance would have it once in a hundred times.
+    The load is named unless the sums move less than chance would have it once in a hundred times.
     """
     if test.effect is not ZEROS_OF_EACH:
-        return test, corrected
-    n, theta, tau2 = fit.problem.n, corrected.theta, corrected.theta @ corrected.theta
-    tau2 /= max(corrected.effective_parameters, 1.0)
-    along = fit.scaled_arms[0] / np.linalg.norm(fit.scaled_arms[0])
-    sums = theta.reshape(-1, n) @ along
-    known = corrected.covariance.reshape(len(sums), n, len(sums), n)
-    spread = tau2 * np.eye(len(sums)) - np.einsum("kilj,i,j->kl", known, along, along)
-    values, vectors = np.linalg.eigh(spread)
+        return test
+    spreads, tau2 = Spreads.of(test.derivative), corrected.variances[0]
+    # The sums and their covariance as if they had the spread tau.
+    known = np.linalg.inv(spreads.along(corrected.covariance))
+    sums = known @ spreads.along(corrected.theta)
+    covariance = np.linalg.inv(known + np.eye(len(sums)) * (1 / tau2 - 1 / corrected.variances[1]))
+    sums = covariance @ sums
+    values, vectors = np.linalg.eigh(tau2 * np.eye(len(sums)) - covariance)
     seen = values > MIN_SEEN_SPREAD * tau2
     chi2 = float(np.sum((vectors[:, seen].T @ sums) ** 2 / values[seen]))
     if not seen.any() or chi2_cdf(chi2, np.count_nonzero(seen)) > FALSE_ALARM:
-        return test, corrected
-    anew = correction(fit, LOAD_REPOSITIONED)
-    return (test, corrected) if anew is None else (replace(test, effect=LOAD_REPOSITIONED), anew)
+        return test
+    return replace(test, effect=LOAD_REPOSITIONED)
 
 
 def _after(

@@ -27,7 +27,6 @@ from truenewton.estimation.effects.derivative import (
     OfEach,
     Some,
     chi2_of_each,
-    without_direction,
 )
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
@@ -241,7 +240,7 @@ def derivative_of(
     K of the field's functions have sizes, (K, n) mix theta, by a (K, K) mix, for example of
     `from_mean`; the identity if None. With ``each``, every actuator, or each of those with the
     indices ``actuators``, has sizes of its own, theta (K, n); otherwise all share (K, 1). Along an
-    (n,) ``direction`` of sizes of each actuator nothing changes.
+    (n,) ``direction`` of sizes of each actuator they have a spread of their own.
     """
     n, k = fit.problem.n, functions.stop - functions.start
     mix = np.eye(k) if mix is None else mix
@@ -249,8 +248,6 @@ def derivative_of(
     trace = mix.T @ sums.field.first[functions] @ fit.moments.pooling.squared_lengths
 
     def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        if direction is not None:
-            theta = without_direction(theta, direction)
         size = np.zeros((k, n))
         size[:, some] = mix @ theta.reshape(k, -1)
         return problem, _removed(fit, before, sums.field, functions, size)
