@@ -73,6 +73,7 @@ from truenewton.estimation.problem import (
     Problem,
     balancing_groups,
     balancing_moments,
+    largest_distance,
     load_data,
     problem_of,
     with_noise_from_minimum,
@@ -155,10 +156,16 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
         suspects = suspects.where_nothing_balances(free, moments)
     wrong = not (balances or suspects.actuators) and bool(suspects.columns)
     with refusal_naming(lambda: (*suspects.named, *screened.clipped)):
-        moments, lost = balancing_moments(screened, belongs, distance, (problem, minimum))
-        problem, minimum = with_noise_from_minimum(problem, moments, minimum)
-        plain = ExaminedFit(problem, moments, minimum)
-        left, unseen = _examined(plain, screened, patterns, columns_are_wrong=wrong)
+        left = None
+        if not (belongs.all() or patterns.size or wrong):
+            left, lost = _examined_whole(problem, minimum, screened), ()
+        if left is None:
+            moments, lost = balancing_moments(screened, belongs, distance, (problem, minimum))
+            problem, minimum = with_noise_from_minimum(problem, moments, minimum)
+            left = ExaminedFit(problem, moments, minimum)
+            if not (patterns.size or wrong):
+                left = examined(left, screened.structure, screened.samples)
+        left, unseen = _with_all_errors(left, patterns, columns_are_wrong=wrong)
         method = "ml"
         if population:
             left, method = _of_population(left, free.prior)
@@ -177,15 +184,34 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
     return replace(estimate.with_warnings(misfit_findings(left)), effects=effects, unseen=unseen)
 
 
-def _examined(
-    plain: ExaminedFit, screened: ScreenedCampaign, patterns: Array, *, columns_are_wrong: bool
-) -> tuple[ExaminedFit, tuple[UnseenError, ...]]:
-    """Return the fit after the search for effects, and the undetectable errors."""
-    if patterns.size:
-        return replace(plain, minimum=with_undetermined_patterns(plain.minimum, patterns)), ()
-    if columns_are_wrong:
-        return _inflated(plain, plain.excess), ()
+def _examined_whole(
+    problem: Problem, minimum: Minimum, screened: ScreenedCampaign
+) -> ExaminedFit | None:
+    """Return the fit without effects to all groups, if only effects unbalanced some; else None.
+
+    Coils and magnets whose force depends on the gap, for example, unbalance the largest motions.
+    """
+    moments = screened.moments
+    try:
+        minimum = problem.fitted(moments, minimum.values)
+    except (NotConverged, RankDeficient):
+        return None
+    plain = ExaminedFit(problem, moments, minimum)
     left = examined(plain, screened.structure, screened.samples)
+    if not (left.effects and left.fits):
+        return None
+    distance = left.problem.distances(left.minimum.values, left.moments)
+    return left if distance.max() <= largest_distance(moments) else None
+
+
+def _with_all_errors(
+    left: ExaminedFit, patterns: Array, *, columns_are_wrong: bool
+) -> tuple[ExaminedFit, tuple[UnseenError, ...]]:
+    """Return the fit with what else makes alpha unsure, and the undetectable errors."""
+    if patterns.size:
+        return replace(left, minimum=with_undetermined_patterns(left.minimum, patterns)), ()
+    if columns_are_wrong:
+        return _inflated(left, left.excess), ()
     unseen = unseen_errors(left.rows)
     for with_more in (with_magnets_unsure, with_positions_unsure):
         problem, minimum = with_more(left.rows, left.effects)

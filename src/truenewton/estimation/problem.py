@@ -233,6 +233,11 @@ MAX_OUTLYING_FRACTION = 0.12  # of the groups may be accidents
 Fitted = tuple[Problem, Minimum]
 
 
+def largest_distance(moments: Moments) -> float:
+    """Return the squared distance that a group exceeds once in 400 sound campaigns."""
+    return float(chi2_isf(OF_EACH_KIND / len(moments.rows), 3))
+
+
 def balancing_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:
     """Fit the groups that balance with the rest.
 
@@ -240,7 +245,7 @@ def balancing_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.boo
     fit, with the problem in which an unknown noise has its first size. Raises RankDeficient,
     NotConverged or TooManyOutliers.
     """
-    limit = float(chi2_isf(OF_EACH_KIND / len(moments.rows), 3))
+    limit = largest_distance(moments)
     try:
         belongs, distance, fitted = _within(limit, problem, moments)
         if belongs.all() or _accidents(belongs, moments, fitted):
