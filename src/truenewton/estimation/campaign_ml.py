@@ -156,9 +156,9 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
         suspects = suspects.where_nothing_balances(free, moments)
     wrong = not (balances or suspects.actuators) and bool(suspects.columns)
     with refusal_naming(lambda: (*suspects.named, *screened.clipped)):
-        left = None
+        left, lost = None, tuple[RejectedRow, ...]()
         if not (belongs.all() or patterns.size or wrong):
-            left, lost = _examined_whole(problem, minimum, screened), ()
+            left = _examined_whole(problem, minimum, screened)
         if left is None:
             moments, lost = balancing_moments(screened, belongs, distance, (problem, minimum))
             problem, minimum = with_noise_from_minimum(problem, moments, minimum)

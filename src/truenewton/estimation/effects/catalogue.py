@@ -340,7 +340,7 @@ ZEROS_OF_EACH = Effect(
 LOAD_REPOSITIONED = replace(
     ZEROS_OF_EACH,
     code=Code.LOAD_REPOSITIONED,
-    remedy="put loads on at the same place, and hold the same shape at rest, each time",
+    remedy="mount each load at the same place, and apply the same shape at rest",
 )
 POSITIONS = Effect(Code.POSITIONS, "m", positions, "measure X and Y of the magnets", "actuator")
 

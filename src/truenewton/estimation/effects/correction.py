@@ -163,17 +163,18 @@ class Spreads:
         return np.array([whole] if self.unit is None else [whole - along, along])
 
     def sizes(self) -> Array:
-        """Return the number of parameters of each component."""
-        return self._parts(self.count, self.count / np.size(self.unit))
+        """Return the (1,) or (2,) number of parameters of each component."""
+        files = 0.0 if self.unit is None else self.count / len(self.unit)
+        return self._parts(self.count, files)
 
     def squares(self, theta: Array) -> Array:
-        """Return the sum of the squares of each component."""
+        """Return the (1,) or (2,) sum of the squares of (k,) parameters of each component."""
         along = 0.0 if self.unit is None else float(np.sum(self.along(theta) ** 2))
         return self._parts(float(theta @ theta), along)
 
     def precision(self, variances: Array) -> Array:
         """Return the (k, k) inverse of the prior covariance."""
-        diagonal = np.eye(self.count) / variances[0]
+        diagonal = np.diag(np.full(self.count, 1.0 / variances[0]))
         if self.unit is None:
             return diagonal
         apart = 1.0 / variances[1] - 1.0 / variances[0]
@@ -181,9 +182,10 @@ class Spreads:
         return np.asarray(diagonal + np.kron(files, apart * np.outer(self.unit, self.unit)))
 
     def determined(self, covariance: Array, variances: Array) -> Array:
-        """Return nu of each component."""
+        """Return the (1,) or (2,) nu of each component, from the (k, k) covariance."""
         along = 0.0 if self.unit is None else float(np.trace(self.along(covariance)))
-        return self.sizes() - self._parts(float(np.trace(covariance)), along) / variances
+        parts = self._parts(float(np.trace(covariance)), along)
+        return np.asarray(self.sizes() - parts / variances)
 
 
 def correction(fit: FittedRows, effect: Effect) -> Correction | None:
@@ -239,7 +241,7 @@ def _covariance(information: Array, precision: Array) -> Array:
 
 
 def excess_of_t(freedom: Array) -> Array:
-    """Return the square of the 95 % limit of Student's t over that of the normal distribution.
+    """Return (...,) the square of the 95 % limit of Student's t over that of a normal number.
 
     A variance of fewer than one parameter is taken for one of one.
     """
