@@ -57,7 +57,7 @@ types: .venv-test/ready
 contracts: .venv-test/ready
 	.venv-test/bin/lint-imports
 
-# The packages as a picture, from the import contract; what is largest.
+# The packages as a picture, from the import contract; what is largest, and the decisions of each.
 house: .venv-test/ready
 	.venv-test/bin/python docs/house.py
 

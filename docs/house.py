@@ -1,7 +1,8 @@
 """Packages as a picture, drawn from the import contract, and the sizes of modules and functions.
 
 python docs/house.py            writes docs/images/house.svg
-python docs/house.py --sizes    prints the largest modules and functions; exit code 1 beyond a limit
+python docs/house.py --sizes    prints the largest modules and functions, and the measures of each
+                                package (measures.py); exit code 1 beyond a limit
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ import sys
 import textwrap
 import tomllib
 from pathlib import Path
+
+import measures
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "truenewton"
@@ -185,7 +188,7 @@ def complexities() -> list[tuple[int, str]]:
 
 
 def print_sizes() -> bool:
-    """Print the largest modules and functions; return whether all are within their limits."""
+    """Print sizes and measures; return whether all sizes are within their limits."""
     lines = module_sizes()
     print(f"{sum(n for n, _ in lines)} lines in {len(lines)} modules")
     within = True
@@ -198,6 +201,7 @@ def print_sizes() -> bool:
         for size, name in sizes[:5]:
             print(f"  {size:>4}  {name}")
         within &= sizes[0][0] <= limit
+    print(measures.table(SOURCE))
     return within
 
 

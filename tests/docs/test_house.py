@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
 import constants  # noqa: E402
 import house  # noqa: E402
+import measures  # noqa: E402
 
 PACKAGES = sorted(path.parent for path in house.SOURCE.rglob("__init__.py"))
 # A shape such as (n,), (N, 3), (..., 3), or a unit in brackets.
@@ -48,6 +49,54 @@ def test_modules_and_functions_are_within_the_size_limits():
     complexities = house.complexities()
     assert len(complexities) > 1000
     assert complexities[0][0] <= house.MAX_COMPLEXITY
+
+
+SOURCE = '''"""A docstring is no code."""
+
+import os  # and an import neither
+
+MAX_STEPS = 30  # a decision
+_LIMIT: float = 0.1  # a decision, but no public name
+TITLE = "text"
+TABLE = {"a": 0.3}
+ENABLED = True
+
+
+class Fit(NamedTuple):
+    """A record."""
+
+    error: float = 1.5
+
+
+@dataclass(frozen=True)
+class Result:
+    steps: int
+
+
+class Plain:
+    def method(self, x):
+        return 1.27 * x + 0.5 + 7
+
+
+def _scaled(x):
+    """A number 2.5 in a docstring."""
+    return x * 1e-3 if x > 2.0 else TITLE
+'''
+
+
+def test_decisions_names_and_records_of_a_source_are_counted(tmp_path):
+    # Decisions: two constants, 1.27 and 1e-3. Names: four constants and three classes.
+    expected = measures.Counts(code_lines=15, decisions=4, names=7, records=2)
+    assert measures.counts(SOURCE) == expected
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(SOURCE)
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "root.py").write_text(SOURCE)
+    rows = dict(measures.of_packages(tmp_path))
+    assert list(rows) == ["a", "b", tmp_path.name, "all"]
+    assert rows["all"] == tuple(3 * count for count in expected)
+    assert "all                        45      266.7     467    133.3" in measures.table(tmp_path)
 
 
 def top_level(tree):
