@@ -227,3 +227,62 @@ def test_no_command_beyond_a_limit_reaches_a_bench(
         assert len(bench.read_of) >= 2 * (1 + 2 * 8)
     assert not beyond
     assert bench.shape is None or not bench.commanded
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda shape, z: np.roll(z, 1), "in a shape of 1e-06 m; .* plan fewer shapes"),
+        (lambda shape, z: z + 2e-7 * shape.number * np.eye(8)[2], "actuator 3 is .* m from"),
+        (
+            lambda shape, z: 0.8 * z,
+            "allowed are 10% of the stroke and 6 times its position_scatter of 1e-",
+        ),
+    ],
+    ids=["cables", "one actuator", "scale"],
+)
+def test_a_bench_in_another_shape_than_commanded_is_noticed(tmp_path, spoil, said):
+    scatter = 1e-9 if "scatter" in said else np.nan
+    bench = StubBench(
+        spoil=lambda shape, reading: dataclasses.replace(
+            reading,
+            position=spoil(shape, reading.position),
+            position_scatter=np.full(8, scatter),
+        )
+    )
+    with pytest.raises(BenchFault, match=said):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+
+
+def test_what_its_noise_explains_is_no_other_shape(tmp_path):
+    """Sensors of 60 nm in shapes of 1 um: within six standard deviations of a sample."""
+    random = np.random.default_rng(1)
+    bench = StubBench(
+        spoil=lambda shape, reading: dataclasses.replace(
+            reading,
+            position=reading.position + 6e-8 * random.standard_normal(8),
+            position_scatter=np.full(8, 6e-8),
+        )
+    )
+    tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert all(cycle.valid.all() for cycle in tn.read(tmp_path / "c").cycles)
+
+
+@pytest.mark.parametrize("given", [(1.0,), ("steep", None), (np.nan, 1.0), (1e9, None), 3.0])
+def test_gradients_that_are_none_are_refused_before_anything_is_taken(tmp_path, given):
+    class Odd(StubBench):
+        gradients = given
+
+    bench = Odd()
+    with pytest.raises(BenchFault, match="the bench gives gradients"):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert bench.commanded == []
+
+
+def test_a_reading_of_lists_counts_and_one_of_words_is_a_fault(tmp_path):
+    as_lists = StubBench(spoil=lambda shape, r: dataclasses.replace(r, force=r.force.tolist()))
+    tn.acquire(as_lists, small_plan(), tmp_path / "c")
+    assert len(tn.read(tmp_path / "c").cycles) == 4
+    words = StubBench(spoil=lambda shape, r: dataclasses.replace(r, force=["much"] * 8))
+    with pytest.raises(BenchFault, match="the force of a reading is no array of numbers"):
+        tn.acquire(words, small_plan(), tmp_path / "d")

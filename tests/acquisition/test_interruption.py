@@ -423,3 +423,21 @@ def test_a_bar_is_drawn_at_a_terminal(inside, tmp_path, monkeypatch, p45_folder)
         monkeypatch.setattr(sys, "stderr", screen := TerminalStream())
         assert inside(*command.split())[0] == 0, command
         assert all(each in screen.getvalue() for each in shown), command
+
+
+def test_the_journal_is_let_go_before_it_is_removed(tmp_path, monkeypatch):
+    """Windows removes no file that is mapped."""
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        pytest.skip("no /proc")
+    unlink, mapped = Path.unlink, []
+
+    def looked_at(path, **keywords):
+        if path.suffix == ".journal":
+            mapped.append(str(path) in maps.read_text())
+        unlink(path, **keywords)
+
+    monkeypatch.setattr(Path, "unlink", looked_at)
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    assert len(mapped) >= 4
+    assert not any(mapped)

@@ -160,3 +160,21 @@ def test_the_evidence_page_lists_every_study_and_benchmark(folder, command):
     files = (ROOT / folder).glob("*.py")
     run = {path.stem for path in files if "__main__" in path.read_text(encoding="utf-8")}
     assert set(re.findall(command, page)) == run
+
+
+POSIX = "fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"
+
+
+def test_nothing_needs_posix():
+    """Windows has none of these."""
+    imports = re.compile(rf"^\s*(?:import|from) (?:{'|'.join(POSIX)})\b", re.MULTILINE)
+    texts = {path.name: path.read_text(encoding="utf-8") for path in house.modules()}
+    assert [name for name, text in texts.items() if imports.search(text)] == []
+
+
+def test_tests_are_in_the_folder_of_the_package_that_they_test():
+    tests = ROOT / "tests"
+    folders = {path.parent.relative_to(tests) for path in tests.rglob("test_*.py")}
+    assert len(folders) > 20
+    packages = {package.relative_to(house.SOURCE) for package in PACKAGES}
+    assert folders - packages == {Path("docs")}

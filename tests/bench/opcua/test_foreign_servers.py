@@ -14,10 +14,10 @@ import pytest
 from asyncua import ua
 
 import truenewton as tn
-from helpers.acquisition_plans import LOADS, small_plan
+from helpers.acquisition_plans import small_plan
 from helpers.foreign_server import NAMESPACE, electronics
 from helpers.opcua_server import choice, free_port, in_thread
-from helpers.stub_bench import SMALL, StubBench
+from helpers.stub_bench import SMALL
 from truenewton.acquisition.acquire import chosen_bench
 from truenewton.acquisition.plan import shapes_and_forces
 from truenewton.bench.opcua import connect, keys
@@ -30,7 +30,7 @@ from truenewton.bench.opcua.methods import (
     scalar,
     variants,
 )
-from truenewton.bench.protocol import Bench, BenchChoice, Operator, Shape, gradients_of
+from truenewton.bench.protocol import BenchChoice, Operator, gradients_of
 from truenewton.errors import BenchFault, FormatError, TrueNewtonError
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.file import mirror_from
@@ -287,114 +287,3 @@ def test_answers_of_another_kind_are_refused_by_name(method, values, said):
 def test_what_a_bench_does_not_use_is_refused(choice, said):
     with pytest.raises(FormatError, match=re.escape(f"bench.{said}")):
         small_plan(bench=choice)
-
-
-# -- readings ------------------------------------------------------------------------------------
-
-
-def test_a_short_record_of_the_loop_has_means():
-    """No division by the samples of a half that has none (warnings are errors here)."""
-    bench = tn.SimulatedBench(SMALL, 1, fidelity="loop")
-    bench.command(Shape(LOADS[0], 1, 1, 1, np.zeros(8)))
-    for samples in (1, 3, 5):
-        reading = bench.read(samples)
-        assert np.isfinite(reading.force).all()
-        assert (reading.force_error is None) == (samples < 4)
-        assert (samples > 1) == bool(reading.force_scatter.any())
-
-
-def test_the_error_of_a_mean_in_closed_loop_is_that_of_readings_taken_again():
-    """Samples taken for independent were 11 times too large."""
-    from studies.closed_loop import errors_of_means
-
-    again, batches, independent = errors_of_means(SMALL, 40)
-    assert batches == pytest.approx(again, rel=0.15)
-    assert independent > 8 * again
-
-
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (lambda shape, z: np.roll(z, 1), "in a shape of 1e-06 m; .* plan fewer shapes"),
-        (lambda shape, z: z + 2e-7 * shape.number * np.eye(8)[2], "actuator 3 is .* m from"),
-        (
-            lambda shape, z: 0.8 * z,
-            "allowed are 10% of the stroke and 6 times its position_scatter of 1e-",
-        ),
-    ],
-    ids=["cables", "one actuator", "scale"],
-)
-def test_a_bench_in_another_shape_than_commanded_is_noticed(tmp_path, spoil, said):
-    scatter = 1e-9 if "scatter" in said else np.nan
-    bench = StubBench(
-        spoil=lambda shape, reading: replace(
-            reading,
-            position=spoil(shape, reading.position),
-            position_scatter=np.full(8, scatter),
-        )
-    )
-    with pytest.raises(BenchFault, match=said):
-        tn.acquire(bench, small_plan(), tmp_path / "c")
-
-
-def test_what_its_noise_explains_is_no_other_shape(tmp_path):
-    """Sensors of 60 nm in shapes of 1 um: within six standard deviations of a sample."""
-    random = np.random.default_rng(1)
-    bench = StubBench(
-        spoil=lambda shape, reading: replace(
-            reading,
-            position=reading.position + 6e-8 * random.standard_normal(8),
-            position_scatter=np.full(8, 6e-8),
-        )
-    )
-    tn.acquire(bench, small_plan(), tmp_path / "c")
-    assert all(cycle.valid.all() for cycle in tn.read(tmp_path / "c").cycles)
-
-
-@pytest.mark.parametrize("given", [(1.0,), ("steep", None), (NAN, 1.0), (1e9, None), 3.0])
-def test_gradients_that_are_none_are_refused_before_anything_is_taken(tmp_path, given):
-    class Odd(StubBench):
-        gradients = given
-
-    bench: Bench = Odd()
-    with pytest.raises(BenchFault, match="the bench gives gradients"):
-        tn.acquire(bench, small_plan(), tmp_path / "c")
-    assert bench.commanded == []
-
-
-def test_a_reading_of_lists_counts_and_one_of_words_is_a_fault(tmp_path):
-    as_lists = StubBench(spoil=lambda shape, r: replace(r, force=r.force.tolist()))
-    tn.acquire(as_lists, small_plan(), tmp_path / "c")
-    assert len(tn.read(tmp_path / "c").cycles) == 4
-    words = StubBench(spoil=lambda shape, r: replace(r, force=["much"] * 8))
-    with pytest.raises(BenchFault, match="the force of a reading is no array of numbers"):
-        tn.acquire(words, small_plan(), tmp_path / "d")
-
-
-POSIX = "fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"
-
-
-def test_nothing_needs_posix():
-    """Windows has none of these."""
-    imports = re.compile(rf"^\s*(?:import|from) (?:{'|'.join(POSIX)})\b", re.MULTILINE)
-    source = Path(tn.__file__).parent.rglob("*.py")
-    found = [path.name for path in source if imports.search(path.read_text(encoding="utf-8"))]
-    assert found == []
-
-
-def test_the_journal_is_let_go_before_it_is_removed(tmp_path, monkeypatch):
-    """Windows removes no file that is mapped."""
-    maps = Path("/proc/self/maps")
-    if not maps.exists():
-        pytest.skip("no /proc")
-    unlink, mapped = Path.unlink, []
-
-    def looked_at(path, **keywords):
-        if path.suffix == ".journal":
-            mapped.append(str(path) in maps.read_text())
-        unlink(path, **keywords)
-
-    monkeypatch.setattr(Path, "unlink", looked_at)
-    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
-    assert len(mapped) >= 4
-    assert not any(mapped)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import truenewton as tn
+from helpers.acquisition_plans import LOADS
+from helpers.stub_bench import SMALL
 from truenewton.bench.protocol import Shape
 from truenewton.bench.simulated.loop import SAMPLES
 from truenewton.bench.simulated.static import (
@@ -132,3 +134,23 @@ def test_unknown_fidelity_and_a_gap_that_closes_are_refused():
         tn.SimulatedBench(p45(), fidelity="quantum")
     with pytest.raises(GeometryError, match="closes the gap"):
         static_bench(p45(), 1, stroke=7e-5)
+
+
+def test_a_short_record_of_the_loop_has_means():
+    """No division by the samples of a half that has none (warnings are errors here)."""
+    bench = tn.SimulatedBench(SMALL, 1, fidelity="loop")
+    bench.command(Shape(LOADS[0], 1, 1, 1, np.zeros(8)))
+    for samples in (1, 3, 5):
+        reading = bench.read(samples)
+        assert np.isfinite(reading.force).all()
+        assert (reading.force_error is None) == (samples < 4)
+        assert (samples > 1) == bool(reading.force_scatter.any())
+
+
+def test_the_error_of_a_mean_in_closed_loop_is_that_of_readings_taken_again():
+    """Samples taken for independent were 11 times too large."""
+    from studies.closed_loop import errors_of_means
+
+    again, batches, independent = errors_of_means(SMALL, 40)
+    assert batches == pytest.approx(again, rel=0.15)
+    assert independent > 8 * again
