@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--ring", type=int, help="actuators of a simulated matrix")
     options = parser.parse_args()
     if (data := os.environ.get("TRUENEWTON_REAL_DATA")) and not options.ring:
-        matrix = tn.read(Path(data) / "lbt672" / "lbt672-feedforward.fits")
+        matrix = tn.read_stiffness(Path(data) / "lbt672" / "lbt672-feedforward.fits")
     else:
         truth = static_bench(ring(options.ring) if options.ring else lbt672(), 1).truth
         noise = 2e-4 * np.random.default_rng(1).standard_normal(truth.stiffness.shape)

@@ -35,7 +35,7 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotri
 
 import truenewton as tn
-from truenewton.estimation import campaign_ml, problem
+from truenewton.estimation import campaign_ml, likelihood, problem
 from truenewton.estimation.paper import svd
 from truenewton.estimation.paper.equations import system_e
 from truenewton.estimation.paper.svd import CycleErrors
@@ -70,7 +70,9 @@ def balanced_cycles(n: int, cycles: int, coil: float = 0, bias: float = 0) -> It
     weight, bias_force = -0.065 * n, 0.097 * n
     elastic = 0.1 * random.standard_normal((n, n))
     z = 1e-6 * random.standard_normal((n, n))
-    known = {"coil_gradient": coil, "bias_gradient": bias} if coil else {"force_error": NOISE}
+    known: dict[str, Any] = (
+        {"coil_gradient": coil, "bias_gradient": bias} if coil else {"force_error": NOISE}
+    )
     for place, load in enumerate((tn.Load("bare"), tn.Load("ring", -0.5, 0.005, tool="ring"))):
         k = np.array([weight + load.added + bias_force, 0.02, -0.03])
         exact = np.empty((n, 2, n))
@@ -79,11 +81,11 @@ def balanced_cycles(n: int, cycles: int, coil: float = 0, bias: float = 0) -> It
             exact[:, at] = sign * elastic
             exact[:, at] -= (exact[:, at] @ a.T + sign * bias * z @ a.T + k) @ inverse.T
             exact[:, at] /= alpha * (1.0 + sign * coil * z)
-        exact = exact.reshape(2 * n, n)
+        rows = exact.reshape(2 * n, n)
         for number in range(1, cycles + 1):
-            force = random.standard_normal(exact.shape)
+            force = random.standard_normal(rows.shape)
             force *= NOISE
-            force += exact
+            force += rows
             position = None
             if coil:
                 position = np.stack([z, -z], axis=1).reshape(2 * n, n)
@@ -98,7 +100,7 @@ def balanced_cycles(n: int, cycles: int, coil: float = 0, bias: float = 0) -> It
                 weight=weight,
                 weight_error=0.02,
                 layout=layout,
-                time=0.5 * np.arange(2 * n),
+                time=0.5 * np.arange(2 * n, dtype=float),
                 shape=np.repeat(np.arange(1, n + 1), 2),
                 sign=np.tile([1, -1], n),
                 force=force,
@@ -141,7 +143,7 @@ def without_catalogue(campaign: tn.Campaign) -> tn.Calibration:
 def iterations_taken(campaign: tn.Campaign) -> int:
     """Count the steps of all minimisations of one calibration."""
     taken: list[int] = []
-    minimise = problem.minimise
+    minimise = likelihood.minimise  # as problem.py imports it
 
     def counted(*arguments: Any, **options: Any) -> Any:
         estimate = minimise(*arguments, **options)
@@ -175,7 +177,7 @@ def reference_steps(campaign: tn.Campaign, iterations: int) -> dict[str, Callabl
             scipy.linalg.cholesky(regular, check_finite=False)
 
     return {
-        "one pass over the bytes": lambda: [c.force.sum() for c in campaign.cycles],
+        "one pass over the bytes": lambda: [np.asarray(c.force).sum() for c in campaign.cycles],
         f"one DSYRK a load: {2 * len(means)} n^3": lambda: [dsyrk(1.0, mean.T) for mean in means],
         f"Cholesky x {iterations} iterations: {iterations / 3:.2f} n^3": factor,
     }
@@ -261,7 +263,7 @@ def measure(n: int, repeats: int) -> None:
     """Measure one mirror and print its table."""
     print(f"n = {n}: making the campaign", file=sys.stderr)
     campaign = tn.Campaign(tuple(balanced_cycles(n, CYCLES)))
-    size = sum(cycle.force.nbytes for cycle in campaign.cycles) / 1e6
+    size = sum(np.asarray(cycle.force).nbytes for cycle in campaign.cycles) / 1e6
     begin = time.process_time()
     iterations = iterations_taken(campaign)
     first = time.process_time() - begin
@@ -324,8 +326,8 @@ def measure(n: int, repeats: int) -> None:
     if "gelsd on E" in taken:
         wanted = 10 if n == 672 else None
         ratios += [("gelsd on E / calibrate", taken["gelsd on E"] / calibrated, wanted)]
-    for name, ratio, wanted in ratios:
-        print(f"  {name:45s} = {ratio:.2f}" + (f"  (wanted: {wanted})" if wanted else ""))
+    for name, ratio, at_most in ratios:
+        print(f"  {name:45s} = {ratio:.2f}" + (f"  (wanted: {at_most})" if at_most else ""))
     sys.stdout.flush()
 
 

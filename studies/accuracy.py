@@ -118,7 +118,7 @@ def campaigns(
                 weight=bench.mirror.weight,
                 weight_error=simulated.weight_error,
                 layout=layout,
-                time=0.5 * np.arange(rows),
+                time=0.5 * np.arange(rows, dtype=float),
                 shape=np.repeat(np.arange(1, rows // 2 + 1), 2),
                 sign=np.tile([1, -1], rows // 2),
                 force=reading[place, cycle],

@@ -19,7 +19,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -52,8 +52,10 @@ from truenewton.mirrors.shell.shell_model import (
 )
 from truenewton.statics.modes import stiffness_modes
 
+T = TypeVar("T")
 
-def timed(what: str, step: Callable[[], object]) -> object:
+
+def timed(what: str, step: Callable[[], T]) -> T:
     """Run a step; print its duration and the peak memory so far."""
     start = time.perf_counter()
     result = step()
@@ -96,6 +98,11 @@ def large(n: int) -> None:
     print(f"  {len(bench.shapes)} shapes; the flat mirror takes {most:.2g} N an actuator at most")
 
 
+def reduced_chi2(found: tn.Calibration) -> float:
+    assert found.goodness is not None
+    return found.goodness.reduced
+
+
 def known(bench: StaticBench) -> np.ndarray:
     """Return alpha for the declared weight of the ring; alpha is proportional to Q."""
     return bench.truth.alpha * bench.loads[1].added / bench.truth.added[1]
@@ -128,13 +135,13 @@ def coverage(seeds: int) -> None:
         beside = found.alpha - bench.truth.alpha * there
         outside.append(np.mean(np.abs(beside) < TWO_SIGMA * found.error))
         ratio.append(np.mean((error / found.statistical_error) ** 2))
-        sizes.append(found.goodness.reduced)
+        sizes.append(reduced_chi2(found))
         added = dict(zip(bench.loads, bench.truth.added, strict=True))
         exact = tuple(replace(c, load=replace(c.load, added=added[c.load])) for c in cycles)
-        weighed.append(tn.calibrate(tn.Campaign(exact)).goodness.reduced)
+        weighed.append(reduced_chi2(tn.calibrate(tn.Campaign(exact))))
         bare = tuple(replace(c, coil_gradient=None, bias_gradient=None) for c in cycles)
         if seed < 5:
-            plain.append(tn.calibrate(tn.Campaign(bare)).goodness.reduced)
+            plain.append(reduced_chi2(tn.calibrate(tn.Campaign(bare))))
         if seed % 20 == 0:
             print(f"  {seed} of {seeds}", file=sys.stderr)
     spread = np.std(inside, ddof=1) / np.sqrt(seeds)
@@ -144,17 +151,17 @@ def coverage(seeds: int) -> None:
     wide = np.std(outside, ddof=1) / np.sqrt(seeds)
     print(f"  95 % intervals of E_ALPHA cover {100 * np.mean(outside):.1f} +- {100 * wide:.1f} %")
     print(f"  RMS error / E_STAT {np.sqrt(np.mean(ratio)):.3f}")
-    for what, found in (("as declared", sizes), ("true weights declared", weighed)):
-        close = np.std(found, ddof=1) / np.sqrt(seeds)
-        print(f"  chi2/DOF, {what}: {np.mean(found):.3f} +- {close:.3f},"
-              f" from {min(found):.2f} to {max(found):.2f}")  # fmt: skip
+    for what, chi2 in (("as declared", sizes), ("true weights declared", weighed)):
+        close = np.std(chi2, ddof=1) / np.sqrt(seeds)
+        print(f"  chi2/DOF, {what}: {np.mean(chi2):.3f} +- {close:.3f},"
+              f" from {min(chi2):.2f} to {max(chi2):.2f}")  # fmt: skip
     print(f"  chi2/DOF, gradients left out: {np.mean(plain):.0f}")
     off, apart = 1e9 * rms(np.mean(rests, axis=1)), 1e9 * rms(np.diff(rests, axis=1))
     print(f"  the glass rests {off:.0f} nm rms from its nominal place, {apart:.0f} nm rms apart"
           f" between loads, {1e9 * np.abs(np.diff(rests, axis=1)).max():.0f} at most")  # fmt: skip
 
 
-def imperfect() -> Iterator[tuple[str, Callable[[StaticBench], StaticBench], dict[str, object]]]:
+def imperfect() -> Iterator[tuple[str, Callable[[StaticBench], StaticBench], dict[str, Any]]]:
     """Yield imperfections: name, change of the bench, and replaced declarations of the files."""
 
     def same(bench: StaticBench) -> StaticBench:
@@ -191,7 +198,7 @@ def imperfections(seeds: int) -> None:
                 if closed:
                     relative /= at_mean(bench, rest_displacement(other))
                 errors[name, closed].append(np.std(relative))
-                sizes[name, closed].append(found.goodness.reduced)
+                sizes[name, closed].append(reduced_chi2(found))
     print(f"P45, 4 cycles x 2 loads, {seeds} seeds: RMS error of alpha beside the common scale")
     head = ("closed loop", "chi2/DOF", "at 0.1 mN", "chi2/DOF")
     print(f"  {'left out':44s}" + "".join(f"{name:>14s}" for name in head))
@@ -297,7 +304,8 @@ def glass(path: str) -> None:
         "model, curved, points": stiffness(RoundShell(mirror.shell), at),
         "model, flat, sensors": stiffness(RoundShell(flat), at, mirror.sensor),
     }
-    ax = new_figure(0.8).add_subplot()
+    figure = new_figure(0.8)
+    ax = figure.add_subplot()
     with mpl.rc_context(STYLE):
         order = np.arange(1, len(measured) + 1)
         ax.loglog(order, measured, color=INK, linewidth=1.6, label="measured, 2011")
@@ -311,7 +319,7 @@ def glass(path: str) -> None:
         ax.set_xlabel("mode, softest first")
         ax.set_ylabel("stiffness (N/m)")
         ax.legend(fontsize=6.5, frameon=False)
-    ax.get_figure().savefig(path, dpi=200)
+    figure.savefig(path, dpi=200)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -42,8 +42,8 @@ SOURCES = {
 
 def only(loop: Loop, of_coils: tuple[str, ...], of_sensors: tuple[str, ...]) -> Loop:
     """Return the loop with these sources of noise only."""
-    coils = {name: value for name, value in QUIET_COILS.items() if name not in of_coils}
-    sensors = {name: value for name, value in QUIET_SENSORS.items() if name not in of_sensors}
+    coils: dict[str, Any] = {k: v for k, v in QUIET_COILS.items() if k not in of_coils}
+    sensors: dict[str, Any] = {k: v for k, v in QUIET_SENSORS.items() if k not in of_sensors}
     return replace(
         loop, coils=replace(loop.coils, **coils), sensors=replace(loop.sensors, **sensors)
     )
@@ -172,6 +172,7 @@ def errors_of_means(mirror: Mirror, readings: int) -> tuple[float, float, float]
     shapes = np.tile(bench.shapes[2][:, None], (1, readings))
     noise = [row_noise(1, "bare", k, 1, 1) for k in range(readings)]
     found = record(loop_of(bench), shapes, bench.load_force[0][:, None], noise)
+    assert found.force_error is not None
     again = rms(found.force.std(axis=1, ddof=1))
     return float(again), float(rms(found.force_error)), float(rms(found.force_scatter) / 2048**0.5)
 
@@ -201,7 +202,9 @@ def main() -> None:
     if arguments.figure:
         steps = step_responses(loop, glass)
         axes = plot_step_responses(steps.time, steps.position, steps.stiffness)
-        axes.figure.savefig(arguments.figure, dpi=300)
+        figure = axes.get_figure(root=True)
+        assert figure is not None
+        figure.savefig(arguments.figure, dpi=300)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import time
 from collections import Counter
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -193,7 +194,7 @@ def processed(matrix, exact, random):
 
 def rejections(matrix, exact, seeds):
     """Print a line for each fault, all laws together."""
-    found = {}
+    found: dict[str, Any] = {}
     for seed in seeds:
         law = LAWS[seed % len(LAWS)]
         for name, later, change in processed(matrix, exact, np.random.default_rng([seed, 1])):

@@ -47,6 +47,8 @@ from functools import cache, partial
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from typing import Any
+
 import numpy as np
 
 import truenewton as tn
@@ -122,7 +124,7 @@ def motion_of(bench: Bench) -> Array:
 
 def trial(day: Day, method: str = "ml") -> Trial:
     """Calibrate the campaign of a day and compare alpha with the truth."""
-    how = {"method": method}
+    how: dict[str, Any] = {"method": method}
     if method == "glass":
         how = {"method": "auto", "motion": motion_of(day.bench)}
     try:
@@ -235,7 +237,7 @@ def significant(percentage: float) -> str:
 
 def print_heads() -> None:
     """Print the headings and units of the table."""
-    widths = [int(re.search(r"\d+", how)[0]) for *_, how in COLUMNS]
+    widths = [int(re.findall(r"\d+", how)[0]) for *_, how in COLUMNS]
     for k, first in enumerate(("noise", "mN")):
         cells = (f"{column[k]:>{width}s}" for column, width in zip(COLUMNS, widths, strict=True))
         print(f"{'':52s}{first:>7s}{''.join(cells)}")

@@ -28,6 +28,7 @@ import truenewton as tn
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import METHODS, Options
 from truenewton.errors import TrueNewtonError
+from truenewton.estimation.findings.estimate import Sensor
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.modes import column_fit, columns_of
 from truenewton.estimation.matrix.screen import screen_matrix
@@ -121,7 +122,7 @@ def with_faults(matrix, seed, count, fault):
 
 def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
     """Return error, stated error, coverage, chi2, missed, falsely excluded, by ml, sensors."""
-    sensors = ()
+    sensors: tuple[Sensor, ...] = ()
     try:
         screened = screen_matrix(matrix)
         if method == "ml":

@@ -87,9 +87,9 @@ def mistakes(matrix):
     yield "elements compressed by 1 %", with_stiffness(compressed)
     yield "mean with the transpose", with_stiffness(0.5 * (k + k.T))
     rigid = np.linalg.qr(np.stack([np.ones(n), x, y], axis=1))[0]
-    for part in (0.3, 0.5):
-        without = np.eye(n) - part * rigid @ rigid.T
-        yield f"{100 * part:g} % of rigid motions removed", with_stiffness(without @ k @ without)
+    for removed in (0.3, 0.5):
+        without = np.eye(n) - removed * rigid @ rigid.T
+        yield f"{100 * removed:g} % of rigid motions removed", with_stiffness(without @ k @ without)
     near = np.hypot(x[:, None] - x, y[:, None] - y)
     np.fill_diagonal(near, np.inf)
     neighbours = (near < 1.5 * near.min()).astype(float)
@@ -105,12 +105,12 @@ def judged(name, matrix, truth, method):
         warnings.simplefilter("ignore")
         try:
             found = tn.calibrate(matrix, method)
-        except TrueNewtonError as error:
-            print(f"{name:62s} refused: {error.fault[:60]}", flush=True)
+        except TrueNewtonError as refusal:
+            print(f"{name:62s} refused: {refusal.fault[:60]}", flush=True)
             return tn.Level.NONE, 0.0
     on = np.isfinite(found.alpha)
     alpha, error = found.alpha[on], found.statistical_error[on]
-    size = np.nan
+    size = float("nan")
     if truth is not None:
         off = alpha / alpha.mean() - truth[on] / truth[on].mean()
         size = float(np.sqrt(np.mean(off**2) / np.mean(error**2)))
@@ -119,6 +119,7 @@ def judged(name, matrix, truth, method):
     commanded, layout = used.used_stiffness, used.layout
     after = [line.after for line in found.imbalances] or [np.nan]
     pattern = coherent_imbalance(commanded, comparable_arms(layout), alpha)
+    assert pattern is not None
     moved = float(np.sqrt(np.mean(pattern.shift**2) / np.mean((error / alpha) ** 2)))
     facts = MatrixFacts(commanded, comparable_arms(layout))
     gains = sensor_gains(facts, alpha, covariance)

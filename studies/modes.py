@@ -37,7 +37,8 @@ PUPIL, EFFICIENCY = Pupil(radius=0.452, diameter=8.22), 0.508
 OFFSET = 5e-4  # of a sensor off its magnet along an axis [m]
 NUMBERS = (100, 200, 400, 600, 650)
 # seeing: force rms [mN], worst actuator [mN], residual surface [nm] for these numbers; power [W]
-PUBLISHED = {
+Published = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...], int]
+PUBLISHED: dict[float, Published] = {
     0.8: ((16, 27, 78, 178, 226), (24, 36, 186, 340, 421), (90, 66, 43, 19, 0), 128),
     1.5: ((27, 45, 132, 300, 381), (41, 60, 313, 575, 711), (153, 111, 73, 32, 0), 366),
 }
@@ -68,7 +69,9 @@ def of_sensors(seeds: int) -> None:
     """
     mirror = tn.mirrors.p45()
     motion = sensor_model(mirror, mirror.layout)
+    assert motion is not None
     places = places_of(mirror.layout, motion)
+    assert places.motion is not None
     scores: dict[str, list[list[float]]] = {}
     for seed in range(seeds):
         bench = static_bench(mirror, seed)
@@ -78,11 +81,15 @@ def of_sensors(seeds: int) -> None:
             seen = sensors_at(places, values, slopes=bool(far.any()))
             back = np.linalg.solve(seen.motion, places.motion).T
             campaign = Campaign(
-                tuple(replace(c, position=c.position @ back) for c in run_cycles(bench, 2))
+                tuple(
+                    replace(c, position=np.asarray(c.position) @ back) for c in run_cycles(bench, 2)
+                )
             )
             for glass, known_motion in (("", None), (", glass known", motion)):
                 made = tn.calibrate(campaign, "reciprocity", motion=known_motion)
-                found = find_modes(campaign, made).measured.matrix
+                measured = find_modes(campaign, made).measured
+                assert measured is not None
+                found = measured.matrix
                 here = replace(made, sensors=tuple(replace(s, x=0.0, y=0.0) for s in made.sensors))
                 truth = bench.truth.stiffness
                 if known_motion is not None:
@@ -117,7 +124,7 @@ def with_error(values: np.ndarray) -> str:
 
 def real(folder: str) -> None:
     """Print forces, residual and power of the measured matrix and the published ones."""
-    matrix = tn.read(Path(folder) / "lbt672" / "lbt672-feedforward.fits")
+    matrix = tn.read_stiffness(Path(folder) / "lbt672" / "lbt672-feedforward.fits")
     calibration = tn.calibrate(matrix, "ml")
     x, y = (PUPIL.diameter / 2 / PUPIL.radius * v for v in (matrix.layout.x, matrix.layout.y))
     for seeing, published in PUBLISHED.items():
@@ -150,7 +157,7 @@ def figures(cost: Dissipation) -> tuple[tuple[str, np.ndarray], ...]:
     )
 
 
-def compared(name: str, cost: Dissipation, published: tuple[object, ...]) -> None:
+def compared(name: str, cost: Dissipation, published: Published) -> None:
     worst = 0.0
     for (what, values), wanted in zip(figures(cost), published[:3], strict=True):
         pairs = "".join(f"{f'{v:.3g} / {w}':<12}" for v, w in zip(values, wanted, strict=True))

@@ -11,6 +11,7 @@ actuators and sensors. Takes about four minutes on one processor.
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from astropy.table import QTable
@@ -49,9 +50,10 @@ def outliers(values, layout):
 def main():
     """Print the figures and draw them."""
     folder = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672"
-    matrix = tn.read(folder / "lbt672-feedforward.fits")
+    matrix = tn.read_stiffness(folder / "lbt672-feedforward.fits")
     table = QTable.read(folder / "lbt672-tables.ecsv")
     efficiency = without_polynomial(np.log(table["MAGNET_EFFICIENCY"]), matrix.layout)
+    options: dict[str, Any]
     for label, options in (
         ("svd", {"method": "svd"}),
         ("ml", {"method": "ml"}),

@@ -126,7 +126,8 @@ def campaigns(seeds, bounds, noise, loop):
     mirror = p45()
     motion = sensor_model(mirror, mirror.layout)
     exact = places_of(mirror.layout, motion)
-    lines, at_truth, n = {}, [], mirror.layout.n
+    lines: dict[str, Line] = {}
+    at_truth, n = [], mirror.layout.n
     for seed in range(seeds):
         bench = static_bench(mirror, seed, force_noise=noise)
         campaign = Campaign(tuple(run_cycles(bench, 4, loop_of(bench) if loop else None)))
@@ -141,6 +142,7 @@ def campaigns(seeds, bounds, noise, loop):
         ):
             found = estimate.values[:n]
             relative = estimate.reading_covariance[:n, :n] / np.outer(found, found)
+            assert estimate.goodness is not None
             lines.setdefault(name, Line()).add(
                 np.log(found / alpha), relative, [estimate.goodness.reduced]
             )

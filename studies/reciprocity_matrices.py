@@ -4,6 +4,7 @@ import time
 import warnings
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def matrix_of(
     return stiffness, values.log_alpha
 
 
-FAULTS = {
+FAULTS: dict[str, dict[str, Any]] = {
     "clean": {},
     "offsets 0.5 mm": {"offset": 5e-4},
     "offsets 1 mm": {"offset": 1e-3},
@@ -129,8 +130,9 @@ def fate(matrix, method, truth):
         warnings.simplefilter("ignore")
         try:
             made = calibrate(matrix, method)
-        except TrueNewtonError as error:
-            return "refused", f"{error.fault}", np.nan, np.nan, np.nan, time.process_time() - begin
+        except TrueNewtonError as refusal:
+            seconds = time.process_time() - begin
+            return "refused", f"{refusal.fault}", np.nan, np.nan, np.nan, seconds
     seconds = time.process_time() - begin
     error, stated = np.log(made.alpha) - truth, made.statistical_error / made.alpha
     some = np.isfinite(error) & (stated > 0.0)

@@ -164,7 +164,9 @@ def main() -> None:
 
     def draw() -> SegmentedBench:
         noise = arguments.noise
-        return bench_of(mirror, arguments.seed, force_noise=noise, temperature=20.0)
+        bench = bench_of(mirror, arguments.seed, force_noise=noise, temperature=20.0)
+        assert isinstance(bench, SegmentedBench)
+        return bench
 
     if arguments.campaigns:
         many(draw(), arguments.cycles, arguments.campaigns)

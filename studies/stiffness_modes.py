@@ -71,8 +71,9 @@ def simulated(force_noise, gains_known):
 
 def measured(matrix):
     """Return (steps, orders) rms angles between measured and modelled modes."""
-    model = model_shell(replace(lbt672(), layout=matrix.layout)).stiffness
-    model = stiffness_modes(model - 31.0 * np.eye(len(model)), arms(matrix.layout).T)
+    modelled = model_shell(replace(lbt672(), layout=matrix.layout)).stiffness
+    modelled = modelled - 31.0 * np.eye(len(modelled))
+    model = stiffness_modes(modelled, arms(matrix.layout).T)
     calibration = tn.calibrate(matrix, population=True)
     print("measured LBT672")
     for name, each in (("alpha = 1", None), ("calibrated", calibration)):

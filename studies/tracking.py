@@ -338,7 +338,7 @@ def with_reference(noise: float, runs: int, shapes: int = 10) -> None:
         known = mirror.earlier(random)
         factor, gain = np.ones((2, len(ids)))
         factor[REPLACED], gain[REPLACED] = 0.8, 1.01
-        references = {
+        references: dict[str, tn.Campaign | tn.StiffnessMatrix] = {
             "earlier campaign": mirror.run(np.ones(len(ids)), random),
             "earlier matrix, 0.05 %": tn.StiffnessMatrix(
                 "P45", mirror.quiet.date, mirror.quiet.layout,

@@ -19,6 +19,7 @@ import datetime
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,7 +176,7 @@ class Day:
         self.warmth = TEMPERATURE + 0.02 * random.standard_normal(len(self.z))
         self.has_temperature = True
         self.valid = np.ones(len(self.z), dtype=bool)
-        self.declared: dict[str, float | None] = {"force_error": self.noise}
+        self.declared: dict[str, Any] = {"force_error": self.noise}
         # How it is judged.
         self.judged = np.ones(self.n, dtype=bool)
         self.where: tuple[str, ...] = ()
