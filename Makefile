@@ -6,7 +6,7 @@ WORKERS = -m pytest -n logical --dist loadscope
 PYTEST = .venv-test/bin/python $(WORKERS)
 PIP_INSTALL = python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs test test-all reference test-floors test-newest test-opticalib browser lint types contracts house sizes format clean
+.PHONY: demo docs test test-all reference golden test-floors test-newest test-opticalib browser lint types contracts house sizes format clean
 
 demo: .venv-demo/ready
 	.venv-demo/bin/truenewton demo --overwrite
@@ -21,6 +21,10 @@ test-all: .venv-test/ready
 # Records the reference results anew, and prints what differs: `make reference CASES="p45 plan"`.
 reference: .venv-test/ready
 	PYTHONPATH=.:tests OPENBLAS_NUM_THREADS=1 .venv-test/bin/python -m reference $(CASES)
+
+# Which outputs of 30 commands differ from the recorded ones; `make golden RECORD=1` records them.
+golden: .venv-test/ready
+	PYTHONPATH=.:tests OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 .venv-test/bin/python -m reference.golden $(if $(RECORD),--record)
 
 # With the floors of pyproject.toml. Old packages may use what the newest below them deprecate.
 test-floors: .venv-floors/ready
