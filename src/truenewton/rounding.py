@@ -70,7 +70,7 @@ def counted(count: int | Sized, noun: str, plural: str = "") -> str:
 
 def listed(names: Iterable[object], most: int = 10) -> str:
     """Return the first names of a list, and how many more there are, as '1, 2 and 3 more'."""
-    every = list(map(str, names))
+    every = list(map(str, names)) or ["none"]
     if len(every) > most:
         every = [*every[:most], f"{len(every) - most} more"]
     *first, last = every

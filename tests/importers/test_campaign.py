@@ -211,3 +211,10 @@ def test_names_of_columns_are_shown_as_they_are_in_the_file(tmp_path, inside):
     text = path.read_text().replace('"Kraft{id}"', '"Kraft1"')
     path.write_text(text.replace("# actuator = ", "actuator = ").replace('"actuator"', '"sign"'))
     assert "column Kraft1 contains 'two'; give numbers in it" in inside("import", path)[2]
+
+
+def test_a_file_without_names_of_columns_is_told_so(tmp_path, inside):
+    path = written(tmp_path, "txt", {})
+    error = inside("import", path)[2]
+    assert "bare-1.txt: there is no column 'shape'" in error
+    assert "the file has none" in error

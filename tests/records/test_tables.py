@@ -188,3 +188,15 @@ def test_a_table_of_positions_may_have_texts_as_ids_and_names_of_columns_their_u
     with pytest.raises(FormatError, match=r"POSITIONS is not numbers .*'A1'"):
         tn.Campaign.from_arrays("T", places.to_numpy()[:, :2], *WEIGHTS, LOADS,
                                 units={"positions": "mm"})  # fmt: skip
+
+
+def test_columns_of_one_name_are_refused():
+    table = long_table()
+    twice = pd.concat([table, table[["mN"]]], axis=1)
+    given = ("TEST", LAYOUT, *WEIGHTS, [BARE, RING])
+    with pytest.raises(FormatError, match="there are two columns mN; keep one of each"):
+        tn.Campaign.from_dataframe(twice, *given, **NAMES)
+    table["MN"] = table["mN"] * 2.0
+    columns = NAMES["columns"] | {"force": "Mn"}
+    with pytest.raises(FormatError, match=r"no column 'Mn'; name it by columns.* mN, .* and MN"):
+        tn.Campaign.from_dataframe(table, *given, units={"force": "mN"}, columns=columns)

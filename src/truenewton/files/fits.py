@@ -35,6 +35,7 @@ from truenewton.files.format import (
 from truenewton.files.opening import GZIP, open_plain, refuse_too_large, unpacked
 from truenewton.files.outputs import file_beside
 from truenewton.files.stored_rows import StoredRows, blocks, long_rows, state_of, without_columns
+from truenewton.rounding import listed
 
 START = b"SIMPLE"
 BLOCK, CARD = 2880, 80  # bytes
@@ -75,7 +76,7 @@ def _read(path: str, *, whole: bool) -> FitsFile:
                         raise UnreadableFile(fault, remedy="fetch it again")
                 for hdu in hdus:
                     _verify_checksums(stream, hdu)
-                _refuse_doubles(hdus[0].header.keys(), "keywords")
+                refuse_doubles(hdus[0].header.keys(), "keywords")
                 plain = _plain(hdus[0].header)
                 extensions, versions = _extensions(hdus, path, stream, state)
                 return FitsFile(path, digest.hexdigest(), plain, extensions, versions)
@@ -232,7 +233,7 @@ def _held(
 ) -> Table | Image | TrueNewtonError | None:
     """Return the contents of an extension, or its fault; None for other kinds."""
     try:
-        _refuse_doubles(hdu.header.keys(), "keywords")
+        refuse_doubles(hdu.header.keys(), "keywords")
         if isinstance(hdu, fits.BinTableHDU):
             return _table(hdu, path, stream, state)
         if isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
@@ -244,16 +245,17 @@ def _held(
     return None
 
 
-def _refuse_doubles(names: Iterable[str], what: str) -> None:
-    """Refuse a name that occurs twice."""
-    for name, count in Counter(names).items():
-        if count > 1 and name not in ("", "COMMENT", "HISTORY"):
-            raise FormatError(f"there are two {what} {name}", remedy="keep one")
+def refuse_doubles(names: Iterable[str], what: str) -> None:
+    """Refuse names that occur twice."""
+    counts = Counter(names)
+    doubles = [n for n in counts if counts[n] > 1 and n not in ("", "COMMENT", "HISTORY")]
+    if doubles:
+        raise FormatError(f"there are two {what} {listed(doubles, 3)}", remedy="keep one of each")
 
 
 def _table(hdu: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] | None) -> Table:
     """Copy a table; if its file has a ``state``, long rows stay in it."""
-    _refuse_doubles([str(key).upper() for key in hdu.columns.names], "columns")
+    refuse_doubles([str(key).upper() for key in hdu.columns.names], "columns")
     if hdu.columns.dtype.itemsize != hdu.header["NAXIS1"]:
         fault = f"is damaged: the columns of {hdu.name} do not make its rows"
         raise UnreadableFile(fault, remedy="fetch the file again")

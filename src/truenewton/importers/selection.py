@@ -22,6 +22,7 @@ from truenewton.statics.layout import integers_or_texts
 
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
 POSITION_NAMES = ("coordinates", "coords", "act_coordinates", "act_coord", "positions", "xy")
+USED = ("x", "y", "nz", "enabled", "segment", *ID_NAMES)  # columns of positions
 POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
 MAX_NAMED = 12  # arrays, columns or actuators in a line
 MAX_COORDINATE = 1e12  # in any unit: a larger one is not a position
@@ -160,7 +161,10 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
     known: dict[str, Item] = {}
     for name, item in columns.items():
         plain, unit = _axis_and_unit(name)
-        known.setdefault(plain, Item(item.values, item.unit or unit))
+        if plain in USED and plain in known:
+            fault = f"several columns may be {plain.upper()}: {', '.join(columns)}"
+            raise FormatError(fault, remedy="keep one of each")
+        known[plain] = Item(item.values, item.unit or unit)
     if "x" not in known or "y" not in known:
         if POLAR[0].intersection(known) and POLAR[1].intersection(known):
             raise FormatError(
@@ -172,7 +176,7 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
     named = [known[name].values for name in ID_NAMES if name in known]
     ids = [each for each in named if each.dtype.kind == "U" or _integers(each)]
     nz, enabled, segment = (known.get(name) for name in ("nz", "enabled", "segment"))
-    for name in {"x", "y", "nz", "enabled", "segment"}.intersection(known):
+    for name in set(USED[:5]).intersection(known):
         require_numbers(known[name], name.upper())
     if y.unit != x.unit:
         raise FormatError(f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit")

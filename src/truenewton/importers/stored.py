@@ -13,6 +13,7 @@ import os
 import re
 import warnings
 import zipfile
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.content import Image, Table
-from truenewton.files.fits import START, read_fits
+from truenewton.files.fits import START, read_fits, refuse_doubles
 from truenewton.files.hdf5 import import_h5py, unit_of
 from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain, refuse_too_large
 from truenewton.records.tables import LENGTHS, columns_in
@@ -107,6 +108,8 @@ def _fits(path: str) -> Stored:
     file = read_fits(path)
     arrays: dict[str, Item] = {}
     columns: dict[str, Item] = {}
+    tables = [part.columns for part in file.extensions.values() if isinstance(part, Table)]
+    count = Counter(column for table in tables for column in table)
     for name, part in file.extensions.items():
         if isinstance(part, Image):
             numbers = plain(part.data)
@@ -116,8 +119,8 @@ def _fits(path: str) -> Stored:
             for column, (values, unit) in part.columns.items():
                 cells = np.asarray(values)
                 held = cells if cells.dtype.kind == "U" else plain(cells)
-                if held is not None:
-                    columns.setdefault(column, Item(held, unit))
+                if held is not None:  # of one name in two tables: with that of the table
+                    columns[column if count[column] == 1 else f"{name}/{column}"] = Item(held, unit)
         else:
             raise part
     return Stored(path, arrays, columns, file.header)
@@ -269,9 +272,19 @@ def table_in(text: str) -> TextTable:
     numbers = [column for column in columns if column.dtype.kind == "f"]
     if not numbers:
         raise FormatError("contains no numbers", remedy="give a file with numbers")
-    named = dict(zip(names, columns, strict=True)) if len(names) == len(columns) else {}
     values = _unlabelled(np.array(numbers).T, bool(names))
-    return values, {name: each for name, each in named.items() if name}
+    return values, _by_name(names, columns, data[0], between)
+
+
+def _by_name(
+    names: list[str], columns: list[NDArray[Any]], first: Line, between: Between
+) -> dict[str, NDArray[Any]]:
+    """Return the columns by name, if each has one; a last column may be empty, and have one too."""
+    n = len(columns)
+    if len(names) != len(_cells(first.text, between)) and (len(names) < n or any(names[n:])):
+        return {}
+    refuse_doubles(names[:n], "columns")
+    return {name: column for name, column in zip(names, columns, strict=False) if name}
 
 
 class Between(NamedTuple):
@@ -330,10 +343,7 @@ def _narrow(lines: list[Line], between: Between, names: list[str]) -> TextTable:
     numbers = [column for column in columns if column.dtype.kind == "f"]
     if not numbers:
         raise FormatError("contains no numbers", remedy="give a file with numbers")
-    named = {}
-    every = len(_cells(lines[0].text, between))  # an empty last column, too
-    if len(names) == every or (len(names) >= len(columns) and not any(names[len(columns) :])):
-        named = {n: c for n, c in zip(names, columns, strict=False) if n}
+    named = _by_name(names, columns, lines[0], between)
     labelled = columns[0].dtype.kind == "U" and len(numbers) == len(columns) - 1 == len(rows) > 2
     if len(numbers) < len(columns) and not labelled:
         return None, named
@@ -369,7 +379,7 @@ def _wide(lines: list[Line], between: Between, names: list[str]) -> list[NDArray
     columns: list[NDArray[Any]] = []
     for number, cells in enumerate(zip(*rows, strict=True), 1):
         wrong = [k for k, cell in enumerate(cells) if not NUMBER.fullmatch(cell)]
-        texts = len(wrong) == len(cells) and (number == 1 or len(names) == len(rows[0]))
+        texts = len(wrong) == len(cells) and (number == 1 or len(names) >= len(rows[0]))
         if wrong and not texts:
             raise FormatError(
                 f"line {lines[wrong[0]].number}, column {number} is '{cells[wrong[0]][:40]}'",

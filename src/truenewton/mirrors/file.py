@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import warnings
 from dataclasses import dataclass, fields, replace
@@ -12,7 +13,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, naming
-from truenewton.files.fits import read_fits
+from truenewton.files.fits import read_fits, refuse_doubles
 from truenewton.files.format import Column, FileFormat, TableFormat
 from truenewton.files.opening import read_text
 from truenewton.files.toml import check_keys, filled, read_toml
@@ -223,6 +224,9 @@ def _columns_in(path: Path, what: str, optional: tuple[str, ...]) -> dict[str, A
 
     form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
     lines = read_text(path).splitlines()
+    head = next(csv.reader(line for line in lines if line.strip() and line[0] != "#"), [])
+    with naming(path):  # astropy gives the second another name
+        refuse_doubles([name.strip() for name in head], "columns")
     # astropy warns of overflows; the resulting values are refused below.
     try:
         with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):

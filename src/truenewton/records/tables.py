@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.errors import Fault, FormatError, GeometryError, naming
+from truenewton.files.fits import refuse_doubles
 from truenewton.quantities import in_unit
 from truenewton.records.cycle import ARRAYS, Cycle
 from truenewton.rounding import counted, listed
@@ -95,15 +96,18 @@ def columns_in(table: Any) -> dict[str, tuple[str, str]]:
     """Return the columns of a table or dictionary by name; also in lower case, without the unit.
 
     Each is the name in the table, and the unit in it or ''. There are none in other data. A name of
-    HDF5 is found without its group, too.
+    HDF5 is found without its group, too, and none by a short name that two of them have.
     """
     every = getattr(table, "columns", table if isinstance(table, Mapping) else ())
     names = [name for name in every if isinstance(name, str)]
-    known, found = {name: name_and_unit(name) for name in names}, dict[str, tuple[str, str]]()
-    for name, (plain, unit) in known.items():
+    refuse_doubles(names, "columns")
+    known, found = {name: name_and_unit(name) for name in names}, dict[str, set[str]]()
+    for name, (plain, _) in known.items():
         for short in (name, plain, name.rsplit("/", 1)[-1]):
-            found.setdefault(short.casefold(), (name, unit))
-    return found | {name: (name, unit) for name, (_, unit) in known.items()}
+            found.setdefault(short.casefold(), set()).add(name)
+    alone = {short: name for short, (name, *others) in found.items() if not others}
+    every_name = alone | {name: name for name in names}
+    return {short: (name, known[name][1]) for short, name in every_name.items()}
 
 
 def name_and_unit(name: str) -> tuple[str, str]:

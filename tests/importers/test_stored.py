@@ -1,0 +1,66 @@
+"""Tables in text, Excel and FITS files: names of columns, separators, numbers of lines."""
+
+import numpy as np
+import openpyxl
+import pytest
+from astropy.table import Table
+
+from truenewton.errors import FormatError
+from truenewton.importers.selection import positions_in
+from truenewton.importers.stored import read_stored
+from truenewton.mirrors.file import layout_in
+
+TWICE = [f"F{i}" for i in range(1, 10)] * 2  # commands, then a force monitor
+PLACES = {"x": [0.0, 0.1, -0.1], "y": [0.1, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize("ending", ["csv", "narrow.csv", "xlsx"])
+def test_columns_of_one_name_are_refused(tmp_path, ending):
+    names = TWICE if "narrow" not in ending else ["shape", "F1", "F1"]
+    rows = np.random.default_rng(1).normal(size=(3, len(names))).tolist()
+    path = tmp_path / f"a.{ending}"
+    if ending == "xlsx":
+        book = openpyxl.Workbook()
+        for row in [names, *rows]:
+            book.active.append(row)
+        book.save(path)
+    else:
+        path.write_text("\n".join(",".join(map(str, row)) for row in [names, *rows]))
+    said = "two columns F1, F2, F3 and 6 more;" if names is TWICE else "two columns F1; keep one"
+    with pytest.raises(FormatError, match=said):
+        read_stored(path)
+
+
+def test_positions_with_nz_twice_are_refused(tmp_path):
+    path = tmp_path / "xy.csv"
+    for names in ("X,Y,NZ,NZ", "X,Y,NZ,nz", "X,X [mm],Y,NZ"):
+        path.write_text(f"{names}\n" + "\n".join(f"{k},{k % 2},1,0.5" for k in range(3)))
+        with pytest.raises(FormatError, match=r"two columns NZ|may be NZ: X, Y, |may be X: X, X"):
+            positions_in(read_stored(path))
+    path.write_text("X,Y,NZ,NZ\n0,0.1,1,0.5\n0.1,0,1,0.5\n-0.1,0,1,0.5\n")
+    with pytest.raises(FormatError, match=r"xy\.csv: there are two columns NZ"):
+        layout_in(path)
+
+
+def test_a_column_of_two_tables_is_not_taken_from_the_first(tmp_path):
+    path = tmp_path / "a.fits"
+    for k, mode in ((1, "overwrite"), (2, "append")):
+        table = Table({"X": k * np.array(PLACES["x"]), "Y": PLACES["y"]}, meta={"EXTNAME": f"T{k}"})
+        table.write(path, **{mode: True})
+    stored = read_stored(path)
+    assert set(stored.columns) == {"T1/X", "T1/Y", "T2/X", "T2/Y"}
+    assert positions_in(stored) is None
+    assert "x" not in stored.names
+
+
+@pytest.mark.parametrize("n", [3, 20])
+def test_lines_may_end_with_their_separator(tmp_path, n):
+    values = np.random.default_rng(2).normal(size=(4, n)).round(3)
+    names, path = [f"F{k}" for k in range(n)], tmp_path / "a.csv"
+    for head in ("", ";"):  # after the names, too
+        lines = [";".join(names) + head] + [";".join(map(str, row)) + ";" for row in values]
+        path.write_text("\n".join(lines))
+        stored = read_stored(path)
+        assert list(stored.columns) == names
+        np.testing.assert_array_equal(stored.arrays[""].values, values)
+        np.testing.assert_array_equal(stored.columns["F2"].values, values[:, 2])
