@@ -170,12 +170,12 @@ FAULTS = {
     ),
     # files that do not belong together
     "one of another mirror": (
-        lambda: of_another_mirror(ONE), REFUSED, "files of two mirrors", "ring 3 against bare 1",
-        "of one mirror",
+        lambda: of_another_mirror(ONE), REFUSED, "two groups of files", "ring 3 against bare 1",
+        "Possible causes: two mirrors",
     ),
     "bare of one, ring of another mirror": (
         lambda: of_another_mirror(4, 5, 6, 7),
-        NOT, "files of two mirrors", "against ring 1", "of one mirror",
+        NOT, "two groups of files", "against ring 1", "Possible causes: two mirrors",
     ),
     "one file everywhere": (
         one_file_everywhere, REFUSED + NOT, "copy of another file", "restore the original",
@@ -233,7 +233,7 @@ def larger(cycle):
 def test_sound_data_give_no_finding_of_a_mistake(made):
     verdict = tn.calibrate(Campaign(tuple(made()))).verdict
     text = " ".join(each.fault for each in verdict.faults)
-    for word in ("exchanged", "order", "sign", "unit", "two names", "load is", "two mirrors",
+    for word in ("exchanged", "order", "sign", "unit", "two names", "load is", "two groups",
                  "DATE-OBS", "TEMPERATURE", "POSITION"):  # fmt: skip
         assert word not in text
 

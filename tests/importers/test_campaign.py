@@ -218,3 +218,16 @@ def test_a_file_without_names_of_columns_is_told_so(tmp_path, inside):
     error = inside("import", path)[2]
     assert "bare-1.txt: there is no column 'shape'" in error
     assert "the file has none" in error
+
+
+@pytest.mark.parametrize("changes", [{}, {DEFAULT: "force = 3"}])
+def test_columns_in_the_order_of_texts_are_refused_without_ids(tmp_path, inside, changes):
+    """F1, F10, F11, ...: positions numbered by their lines may be in the same order."""
+    path = written(tmp_path, "csv", changes)
+    pd.read_csv(tmp_path / "positions.csv").drop(columns="ID").to_csv(tmp_path / "positions.csv")
+    assert inside("import", path)[0] == 0
+    for name in tmp_path.glob("*-?.csv"):
+        table = pd.read_csv(name, sep=";", decimal=",")
+        table[["shape", "sign", *sorted(table.columns[2:])]].to_csv(name, index=False)
+    error = inside("import", path)[2]
+    assert "columns are in the order F1, F10, F11, F12 and 10 more, and actuators are 1, 2" in error

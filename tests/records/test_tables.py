@@ -200,3 +200,12 @@ def test_columns_of_one_name_are_refused():
     columns = NAMES["columns"] | {"force": "Mn"}
     with pytest.raises(FormatError, match=r"no column 'Mn'; name it by columns.* mN, .* and MN"):
         tn.Campaign.from_dataframe(table, *given, units={"force": "mN"}, columns=columns)
+
+
+def test_columns_of_pandas_in_the_order_of_texts_are_refused():
+    run = LOADS[BARE][0]
+    named = pd.DataFrame(run["force"], columns=[f"F{i}" for i in LAYOUT.id])
+    given = "TEST", LAYOUT, *WEIGHTS
+    tn.Campaign.from_arrays(*given, {BARE: {**run, "force": named}})
+    with pytest.raises(FormatError, match="columns are in the order F1, F10, F11, F12 and 10 more"):
+        tn.Campaign.from_arrays(*given, {BARE: {**run, "force": named[sorted(named.columns)]}})

@@ -30,12 +30,14 @@ from truenewton.records.tables import (
     MATRICES,
     check_size,
     columns_by_id,
+    refuse_other_order,
     wide_rows,
 )
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
 from truenewton.statics.load import MIRROR_WEIGHT, Load
 
+BY_LINE = "numbered from 1, as there is no ID"
 OPTIONAL = ("gap", "force_error", "coil_gradient", "bias_gradient")
 
 
@@ -131,7 +133,9 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
         cycles = runs.setdefault(load, [])
         for name in files.files:
             with naming(folder / name):
-                arrays = _arrays_from(read_stored(folder / name), described, actuators)
+                arrays = _arrays_from(
+                    read_stored(folder / name), described, actuators, by_line=BY_LINE in notes
+                )
             cycles.append(arrays)
             largest = np.nanmax(np.abs(arrays["force"]))
             rows = len(arrays["force"])
@@ -152,9 +156,7 @@ def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, tuple[str,
     path = folder / given.file
     with naming(path):
         at = in_metres(read_positions(path), given)
-        notes = (
-            at.notes if at.ids is not None else (*at.notes, "numbered from 1, as there is no ID")
-        )
+        notes = at.notes if at.ids is not None else (*at.notes, BY_LINE)
         made = layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled, segment=at.segment)
         if made.has_texts:
             notes = (*notes, "IDs are texts (NUMBER): numbered from 1 in this order")
@@ -210,15 +212,17 @@ def _date_of(folder: Path, described: CampaignFiles) -> tuple[datetime.datetime,
     return date.replace(tzinfo=date.tzinfo or datetime.UTC).astimezone(datetime.UTC), "as specified"
 
 
-def _arrays_from(stored: Stored, described: CampaignFiles, actuators: Layout) -> dict[str, Any]:
-    """Return the arrays of the cycle in a file."""
+def _arrays_from(
+    stored: Stored, described: CampaignFiles, actuators: Layout, *, by_line: bool
+) -> dict[str, Any]:
+    """Return the arrays of the cycle in a file; ``by_line`` is as of `_matrix_in`."""
     columns, values = described.columns, dict[str, Any]()
     for name in (field.name for field in fields(Columns)):
         wanted = getattr(columns, name)
         if not wanted:
             continue
         if name in MATRICES and not columns.actuator:
-            item = _matrix_in(stored, wanted, actuators)
+            item = _matrix_in(stored, wanted, actuators, by_line)
         else:
             item = _column_in(stored, wanted)
         values[name] = item.values if name == "actuator" else require_numbers(item, str(wanted))
@@ -247,13 +251,21 @@ def _column_in(stored: Stored, wanted: str | int) -> Item:
     return Item(np.squeeze(stored.every[name].values), stored.every[name].unit or unit)
 
 
-def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout) -> Item:
-    """Return (rows, n) values: columns from a number on, columns of each actuator, or an array."""
+def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout, by_line: bool) -> Item:
+    """Return (rows, n) values: columns from a number on, columns of each actuator, or an array.
+
+    If actuators are numbered by their line, their positions may be in the order of the columns.
+    """
     n = actuators.n
     if isinstance(wanted, int):
-        return Item(_table(stored, wanted + n - 1)[:, wanted - 1 : wanted - 1 + n])
+        table = _table(stored, wanted + n - 1)
+        if len(stored.columns) == table.shape[1]:
+            refuse_other_order([*stored.columns][wanted - 1 : wanted - 1 + n], actuators)
+        return Item(table[:, wanted - 1 : wanted - 1 + n])
     if "{id}" in wanted:
         names = columns_by_id(wanted, actuators, stored.names)
+        if by_line:
+            refuse_other_order([name for name in stored.columns if name in names], actuators)
         items = [_column_in(stored, name) for name in names]
         for name, item in zip(names, items, strict=True):
             require_numbers(item, name)

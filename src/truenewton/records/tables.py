@@ -132,6 +132,20 @@ def columns_by_id(template: str, actuators: Layout, there: Collection[str]) -> l
     return next((way for way in (*ways, names) if all(name in there for name in way)), ways[0])
 
 
+def refuse_other_order(columns: Iterable[object], actuators: Layout) -> None:
+    """Refuse columns of actuators, by their names in the order of the table, in another order."""
+    numbers = numbers_of_labels(columns)
+    if numbers is None or np.array_equal(numbers, actuators.id):
+        return
+    if np.array_equal(np.sort(numbers), np.sort(actuators.id)):
+        raise FormatError(
+            f"columns are in the order {listed(columns, 4)}, and actuators are"
+            f" {listed(actuators.names, 4)}",
+            remedy="put both in one order. If positions are in the order of the columns, give them"
+            " a column ID",
+        )
+
+
 def numbers_of_labels(labels: Iterable[object]) -> NDArray[np.int64] | None:
     """Return (m,) numbers of texts as F17, if all have the same word before it; or None."""
     found = [LABEL.fullmatch(str(label).strip()) for label in labels]
@@ -202,6 +216,8 @@ def _cycle_from(
         values["date"] = first.replace(tzinfo=datetime.UTC)
         values["time"] = (time - time.min()) / np.timedelta64(1, "s")
     values.setdefault("valid", np.ones(rows, dtype=bool))
+    for name in MATRICES:
+        refuse_other_order(getattr(values.get(name), "columns", ()), mirror["layout"])
     return Cycle(**mirror, **values)
 
 

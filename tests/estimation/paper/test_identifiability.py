@@ -77,3 +77,12 @@ def test_a_line_and_one_actuator_beside_it_are_a_degenerate_conic():
     a = np.array([np.ones(4), x, y])
     assert geometry_fault(a).fault.startswith("the actuators are on a conic")
     assert geometry_fault(np.array([np.ones(14), LAYOUT.x, LAYOUT.y])) is None
+
+
+def test_a_refusal_for_noise_names_the_order_of_columns_as_a_possible_cause():
+    """X and Y of another order than FORCE look like too few shapes, too."""
+    mixture = np.random.default_rng(0).standard_normal((45, 10)) / 5
+    with pytest.raises(RankDeficient) as refused:
+        calibrate(p45_shapes(mixture @ p45_bench().shapes[3:13], 1e-4), "ml")
+    assert "too few" not in refused.value.fault
+    assert "check that X and Y are in the order of FORCE" in refused.value.remedy

@@ -132,9 +132,10 @@ ENTRIES: dict[Code, Entry] = {
         "correct X and Y in that row of ACTUATORS, in m",
     ),
     Code.TWO_MIRRORS: _of_input(
-        "files of two mirrors, campaigns or lists of shapes",
-        "calibrate only files of one mirror with the same shapes, taken without replacing an"
-        " actuator. If the load was not on the mirror in some rows, mark them as not VALID",
+        "two groups of files with different FORCE for the same SHAPE",
+        "calibrate one of them alone, or correct the cause. Possible causes: two mirrors, another"
+        " list of shapes, an actuator that was replaced, 1.234 for 1234 in the source of FORCE, or"
+        " rows without their load (mark them as not VALID)",
     ),
     Code.CONSTANT_POSITION: _of_input(
         "POSITION is the same in all rows",

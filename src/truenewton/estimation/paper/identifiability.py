@@ -93,10 +93,12 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
     span = _span(centred, float(np.sqrt(eigenvalues[: free + 1].mean())))
     if free:
         fault = (
-            f"the shapes stand above the noise in {span} of the {n - 3} elastic directions, too few"
-            f" or dependent: {free} pattern{'s' if free > 1 else ''} of alpha left to noise"
+            f"the shapes stand above the noise in {span} of the {n - 3} elastic directions:"
+            f" {free} pattern{'s' if free > 1 else ''} of alpha left to noise"
         )
-        faults += (Fault(fault, f"apply {n} independent shapes, larger or more often"),)
+        remedy = "check that X and Y are in the order of FORCE (as texts, F10 is before F2)."
+        remedy += f" If they are, apply {n} independent shapes, larger or more often"
+        faults += (Fault(fault, remedy),)
     unique = separation_of(eigenvalues)
     return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span, separation=unique)
 
