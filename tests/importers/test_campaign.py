@@ -132,7 +132,7 @@ def test_an_added_weight_beyond_the_mirror_and_the_date_of_a_file_are_shown(tmp_
     code, out, _ = inside("import", path, "-o", tmp_path / "made")
     assert code == 0
     assert "UNLIKELY  load ring is 101 times the weight of the mirror: check the unit" in out
-    assert "date 2023-11-14 22:13:20 UTC (of the file bare-1.csv; to change it," in out
+    assert "date 2023-11-14 22:13:20 UTC (assumed, that of the file bare-1.csv; to change" in out
     path = written(tmp_path, "csv", {"# date": "date"})
     out = inside("import", path)[1]
     assert "UNLIKELY" not in out
@@ -231,3 +231,58 @@ def test_columns_in_the_order_of_texts_are_refused_without_ids(tmp_path, inside,
         table[["shape", "sign", *sorted(table.columns[2:])]].to_csv(name, index=False)
     error = inside("import", path)[2]
     assert "columns are in the order F1, F10, F11, F12 and 10 more, and actuators are 1, 2" in error
+
+
+def with_forces(path, change):
+    """Change the forces [mN] in each file of a campaign, written as text with all digits."""
+    for name in path.parent.glob("*-?.csv"):
+        table = pd.read_csv(name, sep=";", decimal=",")
+        forces = table.columns[2:]
+        pd.concat([table[["shape", "sign"]], change(table[forces])], axis=1).to_csv(
+            name, index=False
+        )
+
+
+def test_a_point_between_thousands_and_a_forgotten_unit_are_unlikely(tmp_path, inside):
+    path = written(tmp_path, "csv", {})
+    said = "UNLIKELY  force has numbers from 1 to 999 with three decimals or none"
+
+    def grouped(forces):
+        return (1e2 * forces).round().astype(int).map("{:,}".format).replace(",", ".", regex=True)
+
+    for change, is_doubted in (
+        (grouped, True),
+        (lambda forces: forces.round(3), False),
+        (lambda forces: (8 * forces).round() / 8, False),
+    ):
+        path = written(tmp_path, "csv", {})
+        with_forces(path, change)
+        assert (said in inside("import", path)[1]) == is_doubted
+    path = written(tmp_path, "csv", {'force = "mN"': ""})
+    out = inside("import", path)[1]
+    assert "from bare to ring, the sum of forces changes by 353 N and the weight by -0.289 N" in out
+
+
+def test_times_that_no_clock_gave_are_called_assumed(tmp_path, inside):
+    path = written(tmp_path, "csv", {"# date": "date"})
+    out = inside("import", path, "-o", tmp_path / "made")[1]
+    assert "times assumed: one row a second, as there is no column of time; each cycle" in out
+    assert all(cycle.times == "assumed" for cycle in tn.read(tmp_path / "made"))
+    inside("report", tmp_path / "made", "-o", tmp_path / "a.html")
+    assert "2026-11-21 09:30:00 (assumed)" in (tmp_path / "a.html").read_text()
+    for name in tmp_path.glob("*-?.csv"):
+        table = pd.read_csv(name, sep=";", decimal=",")
+        table.assign(time=2.0 * np.arange(len(table))).to_csv(name, index=False)
+    path.write_text(path.read_text().replace("# time = ", "time = "))
+    out = inside("import", path, "-o", tmp_path / "clock")[1]
+    assert "times assumed: each cycle begins 1 s after the end of the one before" in out
+    made = tn.read(tmp_path / "clock")
+    assert [cycle.times for cycle in made] == [None, *["assumed"] * 3]
+    path.write_text(path.read_text().replace("date = 2026", "# date = 2026"))
+    out = inside("import", path, "-o", tmp_path / "file")[1]
+    assert "UTC (assumed, that of the file bare-1.csv; to change it, specify date" in out
+    assert all(cycle.times == "assumed" for cycle in tn.read(tmp_path / "file"))
+
+
+def test_a_row_column_of_a_long_table_is_in_the_example():
+    assert '# row = "row"' in example()

@@ -64,3 +64,13 @@ def test_lines_may_end_with_their_separator(tmp_path, n):
         assert list(stored.columns) == names
         np.testing.assert_array_equal(stored.arrays[""].values, values)
         np.testing.assert_array_equal(stored.columns["F2"].values, values[:, 2])
+
+
+@pytest.mark.parametrize("cell", ["1.234", "-1.234,5", "1.234.567"])
+def test_a_point_between_thousands_is_refused_beside_decimal_commas(tmp_path, cell):
+    path = tmp_path / "a.csv"
+    path.write_text(f"x;y;remark\n{cell};0,5;a, b\n3,5;4;c\n")
+    with pytest.raises(FormatError, match=f"line 2 has '{cell}', and commas are decimal; write"):
+        read_stored(path)
+    path.write_text("x;y;remark\n1.234;0.5;a, b\n3.5;4;c, d\n")
+    assert read_stored(path).columns["x"].values.tolist() == [1.234, 3.5]

@@ -209,3 +209,19 @@ def test_columns_of_pandas_in_the_order_of_texts_are_refused():
     tn.Campaign.from_arrays(*given, {BARE: {**run, "force": named}})
     with pytest.raises(FormatError, match="columns are in the order F1, F10, F11, F12 and 10 more"):
         tn.Campaign.from_arrays(*given, {BARE: {**run, "force": named[sorted(named.columns)]}})
+
+
+def test_times_are_assumed_only_where_none_is_given():
+    run, date = LOADS[BARE][0], CAMPAIGN.cycles[0].date
+    time = np.arange(len(run["shape"]), dtype=float)
+    dates = np.datetime64("2026-11-21T09:30") + time.astype("timedelta64[s]")
+    for more, given, times in (
+        ({}, None, "assumed"),
+        ({}, date, "assumed"),
+        ({"time": time}, None, "assumed"),
+        ({"time": time}, date, None),
+        ({"time": time, "date": date}, None, None),
+        ({"time": dates}, None, None),
+    ):
+        made = tn.Campaign.from_arrays("T", LAYOUT, *WEIGHTS, {BARE: {**run, **more}}, date=given)
+        assert made.cycles[0].times == times

@@ -5,14 +5,18 @@ from __future__ import annotations
 import datetime
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import bdtr, bdtrc
 
+from truenewton.arrays import Array
+from truenewton.chance import normal_isf
 from truenewton.errors import FormatError, naming
+from truenewton.estimation.findings.code import LIMITS
 from truenewton.files.toml import filled, read_toml
 from truenewton.importers.inputs import written_date
 from truenewton.importers.selection import (
@@ -25,7 +29,7 @@ from truenewton.importers.selection import (
 from truenewton.importers.stored import Item, Stored, read_stored
 from truenewton.quantities import in_unit, in_units
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
+from truenewton.records.cycle import ASSUMED, Cycle
 from truenewton.records.tables import (
     MATRICES,
     check_size,
@@ -37,6 +41,8 @@ from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
 from truenewton.statics.load import MIRROR_WEIGHT, Load
 
+MIN_CHANCE = 1e-3  # of numbers that look like others
+SIGMAS = normal_isf(MIN_CHANCE / 2)
 BY_LINE = "numbered from 1, as there is no ID"
 OPTIONAL = ("gap", "force_error", "coil_gradient", "bias_gradient")
 
@@ -133,7 +139,7 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
         cycles = runs.setdefault(load, [])
         for name in files.files:
             with naming(folder / name):
-                arrays = _arrays_from(
+                arrays, doubted = _arrays_from(
                     read_stored(folder / name), described, actuators, by_line=BY_LINE in notes
                 )
             cycles.append(arrays)
@@ -142,12 +148,22 @@ def campaign_from(path: str | os.PathLike[str]) -> tuple[Campaign, tuple[str, ..
             lines.append(
                 f"  {load.name} {len(cycles):<4}{rows} rows, forces up to {largest:.3g} N: {name}"
             )
+            lines += [
+                f"  UNLIKELY  {what} has numbers from 1 to 999 with three decimals or none: if a"
+                " point separates thousands, write 1234 for 1.234"
+                for what in doubted
+            ]
     more["date"], source = _date_of(folder, described)
     lines.append(f"  date {more['date']:%Y-%m-%d %H:%M:%S} UTC ({source})")
+    first = "" if described.columns.time else "one row a second, as there is no column of time; "
+    lines.append(f"  times assumed: {first}each cycle begins 1 s after the end of the one before")
     with naming(path):
         made = Campaign.from_arrays(described.instrument, actuators, weight, error, runs, **more)
+        if described.date is None:
+            made = Campaign(tuple(replace(each, times=ASSUMED) for each in made))
         if doubt := check_size(actuators, made.weight):
             lines.insert(2, f"  UNLIKELY  {doubt}")
+        lines += _unlikely_forces(made)
     return made, tuple(lines)
 
 
@@ -202,11 +218,53 @@ def _load_lines(loads: Sequence[Load], weight: float) -> Iterator[str]:
         yield f"  only one load, {loads[0].name}: alpha also needs a load of another known weight"
 
 
+def _unlikely_forces(made: Campaign) -> Iterator[str]:
+    """Yield a remark if the sum of forces does not change as the weight: their unit may differ."""
+    of_load, sums = np.array(made.load_index), [_sums_of_forces(cycle) for cycle in made]
+    light, heavy = np.argmax(made.effective_weights), np.argmin(made.effective_weights)
+    one, other = (np.concatenate([sums[k] for k in np.flatnonzero(of_load == load)])
+                  for load in (light, heavy))  # fmt: skip
+    change = float(other.mean() - one.mean())
+    error = float(np.hypot(other.std() / np.sqrt(other.size), one.std() / np.sqrt(one.size)))
+    weight = float(made.effective_weights[light] - made.effective_weights[heavy])
+    least, most = weight / LIMITS.highest_alpha, weight / LIMITS.lowest_alpha
+    if weight and not least - SIGMAS * error < change < most + SIGMAS * error:
+        names = f"{made.loads[light].name} to {made.loads[heavy].name}"
+        yield (
+            f"  UNLIKELY  from {names}, the sum of forces changes by {change:.3g} N and the weight"
+            f" by {-weight:.3g} N: check the unit of force"
+        )
+
+
+def _sums_of_forces(cycle: Cycle) -> Array:
+    """Return the sum of forces along z in each valid row [N]."""
+    used = cycle.layout.enabled
+    return np.asarray(cycle.force)[cycle.valid][:, used] @ cycle.layout.nz[used]
+
+
+def _thousands(values: Array) -> bool:
+    """Return whether numbers look like integers of which a point separated thousands.
+
+    Those without digits after the point are then below 1000, and the others have three.
+    """
+    some = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    whole = some == np.round(some)
+    if whole.all() or some.max() >= 1e3 or some[~whole].min() < 1.0:
+        return False
+    steps = 1e3 * some[~whole]
+    if not np.allclose(steps, np.round(steps), rtol=0.0, atol=1e-6):
+        return False
+    # Decimals: 1 in 1000 has none by chance. Thousands: 1 in 10 has a last digit of 0.
+    by_chance = bdtrc(np.count_nonzero(whole) - 1, some.size, 1e-3)
+    last = bdtr(np.count_nonzero(np.round(steps) % 10), steps.size, 0.9)
+    return bool(by_chance < MIN_CHANCE < last)
+
+
 def _date_of(folder: Path, described: CampaignFiles) -> tuple[datetime.datetime, str]:
     """Return the date of the first cycle (UTC), and where it is from."""
     if described.date is None:
         first = described.loads[0].files[0]
-        how = f"of the file {first}; to change it, specify date"
+        how = f"assumed, that of the file {first}; to change it, specify date"
         return written_date(folder / first), how
     date = described.date
     return date.replace(tzinfo=date.tzinfo or datetime.UTC).astimezone(datetime.UTC), "as specified"
@@ -214,9 +272,12 @@ def _date_of(folder: Path, described: CampaignFiles) -> tuple[datetime.datetime,
 
 def _arrays_from(
     stored: Stored, described: CampaignFiles, actuators: Layout, *, by_line: bool
-) -> dict[str, Any]:
-    """Return the arrays of the cycle in a file; ``by_line`` is as of `_matrix_in`."""
-    columns, values = described.columns, dict[str, Any]()
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the arrays of the cycle in a file, and which may have points between thousands.
+
+    ``by_line`` is as of `_matrix_in`.
+    """
+    columns, values, doubted = described.columns, dict[str, Any](), list[str]()
     for name in (field.name for field in fields(Columns)):
         wanted = getattr(columns, name)
         if not wanted:
@@ -226,6 +287,8 @@ def _arrays_from(
         else:
             item = _column_in(stored, wanted)
         values[name] = item.values if name == "actuator" else require_numbers(item, str(wanted))
+        if name in MATRICES and _thousands(values[name]):
+            doubted.append(name)
         if unit := item.unit or getattr(described.units, name, ""):
             values[name] = in_unit(item.values, Cycle.QUANTITIES[name].unit, name, has=unit)
     if "valid" in values:
@@ -233,7 +296,7 @@ def _arrays_from(
     for name in ("shape", "sign"):
         if not np.array_equal(values[name], np.round(values[name])):
             raise FormatError(f"{name.upper()} is not an integer in each row", remedy="check it")
-    return wide_rows(values, actuators) if columns.actuator else values
+    return wide_rows(values, actuators) if columns.actuator else values, doubted
 
 
 def _column_in(stored: Stored, wanted: str | int) -> Item:

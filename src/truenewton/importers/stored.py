@@ -35,6 +35,7 @@ COMMENT = "#;%!"
 ECSV = "# %ECSV"
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
+THOUSANDS = re.compile(r"[-+]?\d{1,3}(\.\d{3})+(,\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
 UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
 LOGICAL = {"true": "1", "false": "0"}
@@ -266,6 +267,7 @@ def table_in(text: str) -> TextTable:
         data = data[1:]
     if not data:
         raise FormatError("contains a header and no numbers", remedy="give its rows")
+    _refuse_thousands(data, between)
     if len(_cells(data[0].text, between)) <= MAX_WORD_COLUMNS:
         return _narrow(data, between, names)
     columns = _wide(data, between, names)
@@ -297,13 +299,25 @@ class Between(NamedTuple):
 def _separators(line: str) -> Between:
     for delimiter in (";", "\t"):
         if delimiter in line:
-            return Between(delimiter, "," in line)
+            cells = map(str.strip, line.split(delimiter))
+            return Between(delimiter, any(map(DECIMAL_COMMA.fullmatch, cells)))
     if "," in line:
         words = line.split()
         if len(words) > 1 and all(DECIMAL_COMMA.fullmatch(w) or NUMBER.fullmatch(w) for w in words):
             return Between(None, True)
         return Between(",", False)
     return Between(None, False)
+
+
+def _refuse_thousands(lines: list[Line], between: Between) -> None:
+    """Refuse a point between thousands where commas are decimal: 1.234 would be 1234 or 1,234."""
+    for line in lines if between.comma else ():
+        for cell in line.text.split(between.delimiter) if "." in line.text else ():
+            if THOUSANDS.fullmatch(cell.strip()):
+                raise FormatError(
+                    f"line {line.number} has '{cell.strip()}', and commas are decimal",
+                    remedy="write numbers without points between thousands",
+                )
 
 
 def _cells(line: str, between: Between) -> list[str]:

@@ -29,6 +29,7 @@ from truenewton.statics.load import (
 
 LARGEST_DISPLACEMENT = 1e3  # [m]
 ANY_LENGTH = Quantity("m", -np.inf, np.inf)
+ASSUMED = "assumed"  # times of a cycle that no clock gave
 # The arrays of a cycle and their types.
 ARRAYS = {"time": float, "shape": np.int64, "sign": np.int64, "valid": bool, "temperature": float,
           "force": float, "position": float}  # fmt: skip
@@ -157,6 +158,8 @@ class Cycle:
     segments
         Weights of each segment; empty for a mirror in one piece. ``weight`` and the added weight
         of ``load`` are the sums over all segments.
+    times
+        'assumed' if ``date`` or ``time`` was not measured, otherwise None.
 
     Raises
     ------
@@ -216,6 +219,7 @@ class Cycle:
     force_error: float | None = None
     source: Source | None = None
     segments: tuple[Segment, ...] = ()
+    times: str | None = None
 
     def __post_init__(self) -> None:
         convert_quantities(self)
@@ -225,6 +229,8 @@ class Cycle:
             if not isinstance(getattr(self, name), StoredRows | None):
                 freeze(self, name, dtype=dtype)
         check_date(self.date)
+        if self.times not in (None, ASSUMED):
+            raise FormatError(f"TIMES is '{self.times}'", remedy=f"remove it, or give '{ASSUMED}'")
         check_load(self.load)
         check_quantities(self)
         self._check_rows()

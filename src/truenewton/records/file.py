@@ -57,6 +57,7 @@ CYCLE = FileFormat(
     (
         INSTRUMENT,
         Keyword("DATE-OBS", "date", "UTC, start of the cycle", kind="date"),
+        Keyword("TIMES", "times", "assumed: no clock was read", kind="str", absent=None),
         Keyword("LOAD", "load.name", "name of the load", kind="str"),
         Keyword("CYCLE", "number", "number of the cycle under this load", kind="int"),
         Keyword("WEIGHT", "weight", "weight of the mirror along z at TILT 0, P", "N"),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from truenewton.errors import Fault, FormatError, GeometryError, naming
 from truenewton.files.fits import refuse_doubles
 from truenewton.quantities import in_unit
-from truenewton.records.cycle import ARRAYS, Cycle
+from truenewton.records.cycle import ARRAYS, ASSUMED, Cycle
 from truenewton.rounding import counted, listed
 from truenewton.statics.layout import Layout, integers_or_texts, layout
 from truenewton.statics.load import GRAVITY, Load
@@ -162,7 +162,7 @@ def cycles_from_arrays(
 ) -> Iterator[Cycle]:
     """Yield cycles; ``mirror`` contains the values of `Cycle` that all have in common.
 
-    A cycle without a date begins one second after the end of the one before.
+    A cycle without a date begins one second after the end of the one before: its times are assumed.
     """
     start = date or datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     if not isinstance(loads, Mapping):
@@ -176,6 +176,7 @@ def cycles_from_arrays(
                 raise FormatError(f"a cycle of load '{load.name}' is {type(arrays)}", remedy=remedy)
             with naming(f"load '{load.name}', cycle {arrays.get('number', number)}"):
                 usual = {"number": number, "date": start, "load": load}
+                usual["times"] = None if date is not None and start == date else ASSUMED
                 cycle = _cycle_from(_in_si(arrays, units), usual, mirror)
             yield cycle
             end = float(np.max(cycle.time, where=cycle.valid, initial=0.0))
@@ -210,8 +211,13 @@ def _cycle_from(
     _require_names(arrays, REQUIRED, OF_CYCLE)
     values = {**usual, **{k: v for k, v in arrays.items() if v is not None}}
     rows = len(np.atleast_1d(values["shape"]))
+    if arrays.get("date") is not None:
+        values["times"] = None
+    if "time" not in values:
+        values["times"] = ASSUMED
     time = np.asarray(values.setdefault("time", np.arange(rows, dtype=float)))
     if time.dtype.kind == "M":  # dates
+        values["times"] = None
         first = time.min().astype("datetime64[us]").astype(datetime.datetime)
         values["date"] = first.replace(tzinfo=datetime.UTC)
         values["time"] = (time - time.min()) / np.timedelta64(1, "s")

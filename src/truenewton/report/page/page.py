@@ -463,7 +463,8 @@ def times(findings: Findings) -> Section:
             span = f"{some.min():.2f} to {some.max():.2f}"
         rows.append(
             (str(k + 1), cycle.load.name, str(cycle.number), Path(cycle.name).name,
-             f"{cycle.date:%Y-%m-%d %H:%M:%S}", f"{np.ptp(time) / 60:.1f}", str(time.size),
+             f"{cycle.date:%Y-%m-%d %H:%M:%S}{f' ({cycle.times})' * bool(cycle.times)}",
+             f"{np.ptp(time) / 60:.1f}", str(time.size),
              str(rejected[k]), span)
         )  # fmt: skip
     head = ("cycle", "load", "number within the load", "file", "start (UTC)", "minutes", "rows",
