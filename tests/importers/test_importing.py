@@ -194,6 +194,31 @@ def test_the_matrix_is_looked_for_down_the_tree(tmp_path):
         tn.stiffness_from(tmp_path)
 
 
+def test_the_tree_of_a_supervisor_is_searched_down_to_its_last_folder(tmp_path, monkeypatch):
+    """As calib/adsec/585m/data/TRACK and conf/adsec/..., beside another mirror's configuration."""
+    folder = tmp_path / "calib" / "adsec" / "585m" / "data" / TRACK
+    supervisor_folder(folder, positions="rings")
+    conf = tmp_path / "conf" / "adsec" / "lbt"
+    conf.parent.mkdir(parents=True)
+    (folder / "conf").rename(conf)
+    (tmp_path / "loop").symlink_to(tmp_path)
+    found = tn.stiffness_from(tmp_path).matrix.layout
+    own = tn.stiffness_from(folder, conf).matrix.layout
+    np.testing.assert_allclose([found.x, found.y], [own.x, own.y])
+    other = conf.parent / "mmt" / "shell.txt"
+    other.parent.mkdir()
+    other.write_text((conf / "LBT672a" / "shell.txt").read_text())
+    assert tn.stiffness_from(tmp_path).matrix.layout.same_as(found)
+    other.write_text(other.read_text().replace("1955", "1700"))
+    said = "2 files shell.txt that differ: conf/adsec/mmt/shell.txt and conf/adsec/lbt/LBT672a/sh"
+    with pytest.raises(FormatError, match=f"{said}.*; give the folder of the configuration"):
+        tn.stiffness_from(tmp_path)
+    assert tn.stiffness_from(tmp_path, conf).matrix.layout.same_as(found)
+    monkeypatch.setattr("truenewton.importers.inputs.MAX_FILES", 2)
+    with pytest.raises(FormatError, match=r"contains no ff_matrix.fits among its first 2 files"):
+        tn.stiffness_from(tmp_path)
+
+
 @pytest.mark.parametrize(("first", "how"), [(1, "ID"), (0, "channel")])
 def test_a_known_mirror_may_have_more_actuators_than_the_matrix(tmp_path, first, how):
     mirror, rows = tn.mirrors.ring(N), np.random.default_rng(2).permutation(N)[:40]

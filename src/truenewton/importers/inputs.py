@@ -8,7 +8,8 @@ from __future__ import annotations
 import datetime
 import os
 import re
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,6 +38,8 @@ TRACK_NUMBER = re.compile(r"(\d{4})(\d\d)(\d\d)_(\d\d)(\d\d)(\d\d)")
 NUMBERS, SHELL, POSITIONS = "act2mir_act.txt", "shell.txt", "act_coordinates.fits"
 NAME = "MIRROR"  # if it is unknown
 OPTICALIB_POSITIONS = "ActuatorsCoordinates.fits"
+MAX_FILES = 10_000  # of a folder that are looked at
+Trees = Mapping[Path, Mapping[str, list[Path]]]  # folders, and the files in each by name
 
 
 class Rings(NamedTuple):
@@ -147,19 +150,20 @@ def _in_folder(
     if file is not None:
         found = read_positions(file)
     kind, how, channels, by_ring = "opticalib's configuration", "", None, None
-    numbers = find_file(NUMBERS, path, given, conf)
-    folders, used = (path, given, conf), mirror if found is None else None
-    files = _files_in(*folders)
+    folders = dict.fromkeys(each for each in (conf, path, given) if each is not None)
+    trees, numbers = {each: _tree_of(each) for each in folders}, None
+    files, used = _files_in(trees), mirror if found is None else None
     if (path / CHANNELS).is_file():
         kind, channels = "a supervisor's folder", channels_of(path)
+        numbers = find_file(NUMBERS, trees)
         if found is None:
-            found, file, how = places_of(folders, mirror, channels, files)
+            found, file, how = places_of(trees, mirror, channels, files)
         elif file is not None:
             every, found = found, of_channels(found, channels, file)
             if found is not every and numbers is not None:
                 by_ring = of_channels(every, numbers_of(channels, numbers), file)
     elif found is None:
-        file = find_file(OPTICALIB_POSITIONS, *folders)
+        file = find_file(OPTICALIB_POSITIONS, trees)
         used = mirror if file is None else None
         found = read_positions(file) if file is not None else mirror and mirror.layout
     if isinstance(found, Positions) and file is not None and file.name == POSITIONS:
@@ -177,14 +181,16 @@ def _in_folder(
 
 
 def _folder_of_matrix(folder: Path) -> Path:
-    """Return the folder of the only matrix in a folder or up to two levels below."""
-    found = find_files(MATRIX, folder)
+    """Return the folder of the only matrix in a folder or below."""
+    tree = _tree_of(folder)
+    found = tree.get(MATRIX, [])
     if (folder / MATRIX).is_file() or len(found) == 1:
         return found[0].parent
     if not found:
-        there = ", ".join(_files_in(folder)) or "no other file of a supervisor or of opticalib"
+        there = ", ".join(_files_in({folder: tree})) or "no other file of a supervisor or opticalib"
+        first = f" among its first {MAX_FILES} files" * (sum(map(len, tree.values())) >= MAX_FILES)
         raise FormatError(
-            f"contains no {MATRIX}; there is {there}",
+            f"contains no {MATRIX}{first}; there is {there}",
             remedy=f"give the matrix itself, or a folder with {MATRIX} and {CHANNELS}, or with"
             f" {MATRIX} and {OPTICALIB_POSITIONS}",
             path=folder,
@@ -197,13 +203,14 @@ def _folder_of_matrix(folder: Path) -> Path:
     )
 
 
-def _files_in(*folders: Path | None) -> tuple[str, ...]:
+def _files_in(trees: Trees) -> tuple[str, ...]:
     """Return the known files in folders, each relative to the folder in which it is found."""
     names = (MATRIX, CHANNELS, POSITIONS, NUMBERS, SHELL, OPTICALIB_POSITIONS)
     found: list[str] = []
     for name in names:
-        places = ((folder, find_file(name, folder)) for folder in folders)
-        found += [str(file.relative_to(at)) for at, file in places if at and file][:1]
+        found += [str(t[name][0].relative_to(folder)) for folder, t in trees.items() if name in t][
+            :1
+        ]
     return tuple(found)
 
 
@@ -221,18 +228,42 @@ def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
         return in_metres(found, surface)
 
 
-def find_files(name: str, *folders: Path | None) -> list[Path]:
-    """Return the files of a name in folders and up to two levels below, the nearest first."""
-    patterns = (name, f"*/{name}", f"*/*/{name}")
-    there = [folder for folder in folders if folder is not None and folder.is_dir()]
-    return [
-        found for folder in there for pattern in patterns for found in sorted(folder.glob(pattern))
-    ]
+def _tree_of(folder: Path) -> dict[str, list[Path]]:
+    """Return the first `MAX_FILES` files in a folder and below by name, the nearest first."""
+    found, seen, count = dict[str, list[Path]](), set[Path](), 0
+    queue = deque([folder])
+    while queue and count < MAX_FILES:
+        at = queue.popleft()
+        real = at.resolve()
+        if real in seen or not os.access(at, os.R_OK | os.X_OK):
+            continue
+        seen.add(real)
+        for each in sorted(os.scandir(at), key=lambda each: (each.is_symlink(), each.name)):
+            if each.is_dir():
+                queue.append(Path(each.path))
+            else:
+                found.setdefault(each.name, []).append(Path(each.path))
+                count += 1
+    return found
 
 
-def find_file(name: str, *folders: Path | None) -> Path | None:
-    """Return the first file of a name in folders or up to two levels below."""
-    return next(iter(find_files(name, *folders)), None)
+def find_file(name: str, trees: Trees) -> Path | None:
+    """Return the file of a name in the first folder that has it; refuse one of several that differ.
+
+    Several mirrors may have their configuration in one tree.
+    """
+    for folder, tree in trees.items():
+        found = tree.get(name, [])
+        if found and found[0].parent != folder and len({each.read_bytes() for each in found}) > 1:
+            names = [str(each.relative_to(folder)) for each in found]
+            raise FormatError(
+                f"contains {len(found)} files {name} that differ: {listed(names, 4)}",
+                remedy="give the folder of the configuration of this mirror after that of the matrix",
+                path=folder,
+            )
+        if found:
+            return found[0]
+    return None
 
 
 def only_array(path: str | os.PathLike[str]) -> Item:
@@ -252,16 +283,16 @@ def channels_of(folder: Path) -> NDArray[np.int64]:
 
 
 def places_of(
-    folders: Sequence[Path | None],
+    trees: Trees,
     mirror: Rings | None,
     channels: NDArray[np.int64],
     files: Sequence[str],
 ) -> tuple[Positions | Layout, Path | None, str]:
     """Return positions of (m,) channels, their file, and a text on how they were found."""
-    numbers, shell, given = (find_file(name, *folders) for name in (NUMBERS, SHELL, POSITIONS))
-    if mirror is None and given is not None:
+    if mirror is None and (given := find_file(POSITIONS, trees)) is not None:
         places = of_channels(read_positions(given), channels, given)
         return places, given, ""
+    numbers, folder = find_file(NUMBERS, trees), next(iter(trees))
     if numbers is None and mirror is not None:
         return mirror.layout, None, ""
     if numbers is None:
@@ -269,15 +300,16 @@ def places_of(
             f"contains no positions of its channels, but {', '.join(files)}",
             remedy=f"give positions of the channels, or a folder with {POSITIONS}, or with"
             f" {NUMBERS} and {SHELL}, or the mirror by --mirror (mirror=)",
-            path=folders[0],
+            path=folder,
             actuators=int(channels.max()) + 1,
         )
     mine = numbers_of(channels, numbers)
+    shell = find_file(SHELL, trees) if mirror is None else None
     if mirror is None and shell is None:
         raise NoPositions(
             f"there is {NUMBERS}, but no {SHELL}",
             remedy=f"give its folder, or the mirror by --mirror (mirror=), or {POSITIONS}",
-            path=folders[0],
+            path=folder,
             actuators=int(mine.max()) + 1,
         )
     every = mirror.layout if mirror is not None else shell_layout(shell)  # type: ignore[arg-type]
