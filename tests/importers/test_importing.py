@@ -211,7 +211,7 @@ def test_the_tree_of_a_supervisor_is_searched_down_to_its_last_folder(tmp_path, 
     assert tn.stiffness_from(tmp_path).matrix.layout.same_as(found)
     other.write_text(other.read_text().replace("1955", "1700"))
     said = "2 files shell.txt that differ: conf/adsec/mmt/shell.txt and conf/adsec/lbt/LBT672a/sh"
-    with pytest.raises(FormatError, match=f"{said}.*; give the folder of the configuration"):
+    with pytest.raises(FormatError, match=f"{said}.*; give the folder of this mirror"):
         tn.stiffness_from(tmp_path)
     assert tn.stiffness_from(tmp_path, conf).matrix.layout.same_as(found)
     monkeypatch.setattr("truenewton.importers.inputs.MAX_FILES", 2)

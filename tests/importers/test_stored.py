@@ -1,12 +1,14 @@
 """Tables in text, Excel and FITS files: names of columns, separators, numbers of lines."""
 
+import h5py
 import numpy as np
 import openpyxl
 import pytest
+import scipy.io
 from astropy.table import Table
 
 from truenewton.errors import FormatError
-from truenewton.importers.selection import positions_in
+from truenewton.importers.selection import matrix_in, positions_in
 from truenewton.importers.stored import read_stored
 from truenewton.mirrors.file import layout_in
 
@@ -35,7 +37,7 @@ def test_positions_with_nz_twice_are_refused(tmp_path):
     path = tmp_path / "xy.csv"
     for names in ("X,Y,NZ,NZ", "X,Y,NZ,nz", "X,X [mm],Y,NZ"):
         path.write_text(f"{names}\n" + "\n".join(f"{k},{k % 2},1,0.5" for k in range(3)))
-        with pytest.raises(FormatError, match=r"two columns NZ|may be NZ: X, Y, |may be X: X, X"):
+        with pytest.raises(FormatError, match=r"two columns NZ|may be NZ: NZ, nz|may be X: X, X"):
             positions_in(read_stored(path))
     path.write_text("X,Y,NZ,NZ\n0,0.1,1,0.5\n0.1,0,1,0.5\n-0.1,0,1,0.5\n")
     with pytest.raises(FormatError, match=r"xy\.csv: there are two columns NZ"):
@@ -49,7 +51,8 @@ def test_a_column_of_two_tables_is_not_taken_from_the_first(tmp_path):
         table.write(path, **{mode: True})
     stored = read_stored(path)
     assert set(stored.columns) == {"T1/X", "T1/Y", "T2/X", "T2/Y"}
-    assert positions_in(stored) is None
+    with pytest.raises(FormatError, match="several columns may be X: T1/X, T2/X; keep one"):
+        positions_in(stored)
     assert "x" not in stored.names
 
 
@@ -74,3 +77,22 @@ def test_a_point_between_thousands_is_refused_beside_decimal_commas(tmp_path, ce
         read_stored(path)
     path.write_text("x;y;remark\n1.234;0.5;a, b\n3.5;4;c, d\n")
     assert read_stored(path).columns["x"].values.tolist() == [1.234, 3.5]
+
+
+def test_arrays_in_structs_of_matlab_are_found(tmp_path):
+    path, k = tmp_path / "a.mat", np.random.default_rng(3).normal(size=(5, 5))
+    scipy.io.savemat(path, {"sys": {"ff_matrix": k, "pos": {"x": k[0], "y": k[1]}, "name": "M"}})
+    item, _ = matrix_in(read_stored(path), None)
+    np.testing.assert_array_equal(item.values, k)
+    np.testing.assert_array_equal(positions_in(read_stored(path)).y, k[1])
+    shells = np.zeros(2, dtype=[("ff", object)])
+    shells["ff"] = [k, 2.0 * k]
+    scipy.io.savemat(path, {"dm": shells})
+    with pytest.raises(FormatError, match=r"2 square matrices; .*dm\(1\).ff, dm\(2\).ff"):
+        matrix_in(read_stored(path), None)
+    np.testing.assert_array_equal(matrix_in(read_stored(path), "dm(2).ff")[0].values, 2.0 * k)
+    with h5py.File(path, "w", userblock_size=512) as file:  # version 7.3
+        file["sys/ff_matrix"] = k.T
+        file["sys/ff_matrix"].attrs["MATLAB_class"] = np.bytes_("double")
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(128) + path.read_bytes()[128:])
+    np.testing.assert_array_equal(matrix_in(read_stored(path), "sys.ff_matrix")[0].values, k)

@@ -258,7 +258,7 @@ def find_file(name: str, trees: Trees) -> Path | None:
             names = [str(each.relative_to(folder)) for each in found]
             raise FormatError(
                 f"contains {len(found)} files {name} that differ: {listed(names, 4)}",
-                remedy="give the folder of the configuration of this mirror after that of the matrix",
+                remedy="give the folder of this mirror's configuration after that of the matrix",
                 path=folder,
             )
         if found:

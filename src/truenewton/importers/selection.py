@@ -17,7 +17,7 @@ from truenewton.arrays import Array
 from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.estimation.matrix.order import refuse_no_stiffness
 from truenewton.importers.stored import NUMBER, Item, Stored, read_stored
-from truenewton.records.tables import ID_NAMES, LENGTHS, name_and_unit
+from truenewton.records.tables import ID_NAMES, LENGTHS, name_and_unit, without_group
 from truenewton.statics.layout import integers_or_texts
 
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
@@ -91,7 +91,7 @@ def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
         }
         every = square
         if len(square) > 1:
-            known = {n: i for n, i in square.items() if n.lower().split("/")[-1] in MATRIX_NAMES}
+            known = {n: i for n, i in square.items() if without_group(n.lower()) in MATRIX_NAMES}
             square = known or square
         if len(square) != 1:
             fault = (
@@ -124,7 +124,7 @@ def positions_in(stored: Stored) -> Positions | None:
         if named is not None:
             return named
         arrays = {name: item for name, item in every.items() if item.values.ndim == 2}
-        known = {n: i for n, i in arrays.items() if n.lower().split("/")[-1] in POSITION_NAMES}
+        known = {n: i for n, i in arrays.items() if without_group(n.lower()) in POSITION_NAMES}
         fitting = known or {n: i for n, i in arrays.items() if min(i.values.shape) in (2, 3)}
         if not fitting:
             return None
@@ -160,10 +160,11 @@ def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
     """Return positions from columns named X and Y, with ID, NZ and ENABLED if they exist."""
     known: dict[str, Item] = {}
     for name, item in columns.items():
-        plain, unit = _axis_and_unit(name)
+        plain, unit = _axis_and_unit(without_group(name))
         if plain in USED and plain in known:
-            fault = f"several columns may be {plain.upper()}: {', '.join(columns)}"
-            raise FormatError(fault, remedy="keep one of each")
+            some = [n for n in columns if _axis_and_unit(without_group(n))[0] == plain]
+            fault = f"several columns may be {plain.upper()}: {', '.join(some)}"
+            raise FormatError(fault, remedy="keep one of them")
         known[plain] = Item(item.values, item.unit or unit)
     if "x" not in known or "y" not in known:
         if POLAR[0].intersection(known) and POLAR[1].intersection(known):

@@ -14,7 +14,7 @@ import re
 import warnings
 import zipfile
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -165,8 +165,11 @@ def _hdf5(path: str) -> Stored:
         if isinstance(held, h5py.Dataset) and held.dtype.kind in "fiub" and held.ndim:
             refuse_too_large(held.nbytes, path, name)
             # MATLAB 7.3 stores arrays with their axes reversed.
-            values = held[()].T if "MATLAB_class" in held.attrs else held[()]
-            found[name] = Item(np.asarray(values, dtype=np.float64), unit_of(held))
+            matlab = "MATLAB_class" in held.attrs
+            values = held[()].T if matlab else held[()]
+            found[name.replace("/", ".") if matlab else name] = Item(
+                np.asarray(values, dtype=np.float64), unit_of(held)
+            )
 
     with h5py.File(path, "r") as file:
         file.visititems(take)
@@ -180,7 +183,20 @@ def _matlab(path: str) -> Stored:
         return _hdf5(path)
     refuse_too_large(sum(8 * math.prod(shape) for _, shape, _ in scipy.io.whosmat(path)), path)
     held = scipy.io.loadmat(path)
-    return _gathered(path, {k: v for k, v in held.items() if not k.startswith("__")})
+    variables = {k: v for k, v in held.items() if not k.startswith("__")}
+    return _gathered(path, dict(_fields("", variables)))
+
+
+def _fields(before: str, variables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield arrays of MATLAB; those in structs have names as 'sys.ff_matrix' or 'sys(2).ff'."""
+    for name, value in variables.items():
+        fields = getattr(value.dtype, "names", None)
+        if not fields:
+            yield before + name, value
+            continue
+        for k, one in enumerate(value.ravel(), 1):
+            of = f"{name}." if value.size == 1 else f"{name}({k})."
+            yield from _fields(before + of, {each: np.asarray(one[each]) for each in fields})
 
 
 def _idl(path: str) -> Stored:

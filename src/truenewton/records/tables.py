@@ -96,18 +96,24 @@ def columns_in(table: Any) -> dict[str, tuple[str, str]]:
     """Return the columns of a table or dictionary by name; also in lower case, without the unit.
 
     Each is the name in the table, and the unit in it or ''. There are none in other data. A name of
-    HDF5 is found without its group, too, and none by a short name that two of them have.
+    HDF5 or MATLAB is found without its group or struct, too. A short name that two columns have
+    finds none.
     """
     every = getattr(table, "columns", table if isinstance(table, Mapping) else ())
     names = [name for name in every if isinstance(name, str)]
     refuse_doubles(names, "columns")
     known, found = {name: name_and_unit(name) for name in names}, dict[str, set[str]]()
     for name, (plain, _) in known.items():
-        for short in (name, plain, name.rsplit("/", 1)[-1]):
+        for short in (name, plain, without_group(name)):
             found.setdefault(short.casefold(), set()).add(name)
     alone = {short: name for short, (name, *others) in found.items() if not others}
     every_name = alone | {name: name for name in names}
     return {short: (name, known[name][1]) for short, name in every_name.items()}
+
+
+def without_group(name: str) -> str:
+    """Return the name of an array without its group in HDF5 or struct in MATLAB."""
+    return re.split(r"[/.]", name)[-1]
 
 
 def name_and_unit(name: str) -> tuple[str, str]:
