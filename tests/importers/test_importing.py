@@ -671,3 +671,15 @@ def test_a_supervisors_folder_is_to_be_imported_first_and_a_calibration_to_be_fi
     (tmp_path / "k.fits").unlink()
     out = inside("import", tmp_path / "meas", "-o", tmp_path / "k.fits", "--curvature", "0")[1]
     assert f"truenewton export {tmp_path / 'meas'} --calibration {tmp_path / 'k-alpha.fits'}" in out
+
+
+def test_the_radius_of_a_convex_mirror_is_negative(tmp_path, inside):
+    """As `truenewton mirrors` prints it; the arms are those of a concave mirror."""
+    concave, convex = (tn.stiffness_from(CASE.k, XY, curvature=r) for r in (R, -R))
+    assert convex.matrix.layout.same_as(concave.matrix.layout)
+    assert "R -1.955 m, NZ 0.99" in text(convex)
+    np.save(tmp_path / "k.npy", CASE.k)
+    command = "import", tmp_path / "k.npy", positions_file(tmp_path, "csv")
+    assert inside(*command, "--curvature", "-1.955")[0] == 0
+    with pytest.raises(FormatError, match="radius is nan m; give R in m"):
+        tn.stiffness_from(CASE.k, XY, curvature=np.nan)

@@ -225,7 +225,8 @@ def run_import(
     ),
     lengths: str | None = typer.Option(None, help="Unit of the positions, such as mm."),
     curvature: float | None = typer.Option(
-        None, help="Radius of curvature [m]: the forces of the actuators are normal to the surface."
+        None,
+        help="Radius of curvature [m], negative if convex: forces are normal to the surface.",
     ),
     arc: bool = typer.Option(False, "--arc", help="Radii are measured along the surface."),
     mirror: str | None = typer.Option(

@@ -103,8 +103,8 @@ def stiffness_from(
     unit, lengths
         Units of matrix and positions, if no file declares them; 'unknown' for steps.
     curvature, arc
-        Radius of curvature R [m], if actuators push along the normals; whether radii are measured
-        along the surface.
+        Radius of curvature R [m], if actuators push along the normals, negative if convex; whether
+        radii are measured along the surface.
     mirror
         A known mirror or its layout, if positions are not given. The matrix may be of some of its
         actuators: rows are matched by ID or channel.

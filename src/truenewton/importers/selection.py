@@ -241,7 +241,8 @@ class Surface:
     unit
         Their unit, or '': as declared by the file, or the likeliest by their size.
     curvature
-        Radius of curvature R of the surface [m], or None or 0: NZ is that of the file, or 1.
+        Radius of curvature R of the surface [m], negative if it is convex, or None or 0: NZ is that
+        of the file, or 1.
     arc
         Whether radii are measured along the surface, R t, instead of from the axis, R sin t.
     """
@@ -253,7 +254,9 @@ class Surface:
 
 def in_metres(positions: Positions, surface: Surface) -> Positions:
     """Return positions in metres, on a curved surface with their directions."""
-    curvature, arc = surface.curvature or None, surface.arc  # R = 0 is that of a flat mirror
+    arc = surface.arc
+    # R = 0 is that of a flat mirror, R < 0 of a convex one, whose forces have the same arms.
+    curvature = abs(surface.curvature) if surface.curvature else None
     x, y = (np.asarray(values, dtype=float).ravel() for values in (positions.x, positions.y))
     if x.shape != y.shape:
         raise FormatError(
@@ -271,9 +274,9 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
     far, nz = 1e3 * np.hypot(x, y), positions.nz
     notes = [f"{unit} {how}", f"{np.nanmin(far):.4g} to {np.nanmax(far):.4g} mm from the axis"]
     if curvature is not None:
-        if not 0.0 < curvature < np.inf:
+        if not curvature < np.inf:
             raise FormatError(
-                f"the curvature radius is {curvature:g} m", remedy="give R in m, positive"
+                f"the curvature radius is {curvature:g} m", remedy="give R in m; 0 if it is flat"
             )
         radius = np.hypot(x, y)
         if np.nanmax(radius) >= (np.pi / 2 if arc else 1.0) * curvature:
@@ -285,7 +288,7 @@ def in_metres(positions: Positions, surface: Surface) -> Positions:
         sine = np.sin(radius / curvature) if arc else radius / curvature
         shrunk = np.divide(sine * curvature, radius, out=np.ones_like(radius), where=radius > 0)
         x, y, nz = x * shrunk, y * shrunk, np.sqrt(1.0 - sine**2)
-        notes.append(f"R {curvature:g} m{', radii along the surface' if arc else ''}")
+        notes.append(f"R {surface.curvature:g} m{', radii along the surface' if arc else ''}")
     elif nz is None:
         notes.append("NZ 1 (no curvature given)")
     if nz is not None:
