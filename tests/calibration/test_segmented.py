@@ -14,6 +14,7 @@ from helpers.segmented import in_one, pieces
 from truenewton.calibration import figures
 from truenewton.calibration.verdict import REGARDLESS, Level, without_unusable
 from truenewton.calibration.workers import Processes
+from truenewton.comparison.calibrations import compare_calibrations
 from truenewton.errors import (
     CampaignMismatch,
     Fault,
@@ -424,3 +425,9 @@ def test_a_process_that_dies_and_a_call_that_fails_are_told():
     with pytest.raises(FileNotFoundError):
         list(Processes(1).map(os.listdir, ["/no/such/folder"]))
     assert list(Processes(2).map(abs, [-1, -2])) == [1, 2]
+
+
+def test_a_segment_of_several_is_chosen_by_the_method_that_exists(whole, alone):
+    with pytest.raises(CampaignMismatch, match=r"--segment, or part\(\.\.\.\) in Python"):
+        compare_calibrations(whole, alone[0])
+    assert compare_calibrations(whole.part(1), whole.part(1)).changed.size == 0

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -319,3 +320,12 @@ def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):
     ))  # fmt: skip
     layers = {layer.key: layer for layer in layers_of(found)}
     assert np.flatnonzero(layers["findings"].values).tolist() == [2, 16]
+
+
+def test_the_csv_of_the_page_names_rings_or_segments_as_its_table_does():
+    """Its head has the name of the group, which the browser test downloads for rings."""
+    script = resources.files("truenewton.report.page").joinpath("templates/report.js").read_text()
+    [heads] = re.findall(r"const heads = \[(.*) \.\.\.layers", script)
+    [fields] = re.findall(r"const fields = \[(.*) \.\.\.layers", script)
+    assert fields == '"id", group, "x", "y",'
+    assert heads == '"ID", group.toUpperCase(), "X_mm", "Y_mm",'

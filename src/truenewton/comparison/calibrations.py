@@ -176,7 +176,7 @@ def compare_calibrations(one: AnyCalibration, other: AnyCalibration) -> Change:
     if has_parts(one) != has_parts(other):
         raise CampaignMismatch(
             "one calibration is of several segments, the other of one body",
-            remedy="choose the segment: --segment, or segment(...) in Python",
+            remedy="choose the segment: --segment, or part(...) in Python",
         )
     a, b = one.layout, other.layout
     # Which are enabled may differ, and what was taken for their direction.

@@ -177,7 +177,7 @@
 
   // CSV: what the table lists, with numbers as they are.
   byId("csv").addEventListener("click", () => {
-    const heads = ["ID", "RING", "X_mm", "Y_mm", ...layers.map((layer) =>
+    const heads = ["ID", group.toUpperCase(), "X_mm", "Y_mm", ...layers.map((layer) =>
       layer.key.toUpperCase() + ({ mN: "_mN", "%": "_percent" }[layer.unit] ?? ""))];
     const number = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(7))) : "");
     const lines = matching.map((k) => fields.map((key) => number(data(key)[k])).join(","));
