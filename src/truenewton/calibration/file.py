@@ -109,8 +109,13 @@ def _scale_errors(source: dict[str, Any], relative: Array) -> Iterator[ScaleErro
         yield ScaleError(ErrorSource(ErrorKind[kind], name), size)
 
 
-def _finding(code: str, name: str, detail: str, where: str, ids: str, **values: Any) -> Finding:
-    """Return a finding of table EFFECTS; without a code (earlier versions) by name and place."""
+def _finding(
+    code: str, level: str, name: str, detail: str, where: str, ids: str, **values: Any
+) -> Finding:
+    """Return a finding of table EFFECTS; without a code (earlier versions) by name and place.
+
+    Of a code that only a newer version knows, the file contains the level.
+    """
     if not code:
         found, detail = read_name(name)
         actuator, _, only = where.partition(" ")
@@ -119,6 +124,7 @@ def _finding(code: str, name: str, detail: str, where: str, ids: str, **values: 
         found = Code(code)
     else:  # of a newer version
         found, detail = Code.OTHER, name
+        values["graded"] = Level.read(level) if level else None
     actuators = tuple(int(i) for i in ids.split())
     return Finding(code=found, detail=detail, where=where, actuators=actuators, **values)
 

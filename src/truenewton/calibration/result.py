@@ -434,6 +434,7 @@ CALIBRATION = FileFormat(
             "EFFECTS",
             "effects",
             Column("CODE", "code", kind="str", absent=""),
+            Column("LEVEL", "level", kind="str", absent=""),
             Column("EFFECT", "name", kind="str"),
             Column("DETAIL", "detail", kind="str", absent=""),
             Column("PLACE", "where", kind="str"),

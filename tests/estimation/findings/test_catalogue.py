@@ -89,14 +89,17 @@ def test_findings_are_read_from_files_with_and_without_codes(p45_calibration, fo
     np.testing.assert_array_equal(read.alpha, p45_calibration.alpha)
 
 
-def test_an_unknown_code_of_a_newer_version_keeps_its_name(p45_calibration, found, tmp_path):
+def test_an_unknown_code_of_a_newer_version_keeps_name_and_level(p45_calibration, found, tmp_path):
     path = tmp_path / "alpha.fits"
     replace(p45_calibration, effects=found).write(path)
     with fits.open(path) as hdus:
-        hdus["EFFECTS"].data["CODE"][0] = "a-newer-one"
+        hdus["EFFECTS"].data["CODE"] = "a-newer-one"
         hdus.writeto(path, overwrite=True, checksum=True)
-    (newer, *_) = tn.read(path).effects
-    assert (newer.code, newer.name) == (Code.OTHER, found[0].name)
+    newer = tn.read(path).effects
+    assert {each.code for each in newer} == {Code.OTHER}
+    assert [each.name for each in newer] == [each.name for each in found]
+    assert [each.level for each in newer] == [each.level for each in found]
+    assert {each.level for each in newer} == {tn.Level.REJECTED, tn.Level.USABLE}
 
 
 def test_levels_are_ordered_and_read_from_earlier_files():
