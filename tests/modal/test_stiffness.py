@@ -561,10 +561,22 @@ def test_two_modes_turned_into_each_other(angle):
     found = compare_modes(turned(7, 2, 4, angle), np.eye(7))
     leak = np.zeros(7)
     leak[2:4] = np.sin(angle) ** 2  # until the fifth mode joins
-    assert found.rms_angle == pytest.approx(np.sqrt(leak / np.arange(1, 8)), rel=1e-9, abs=1e-15)
+    sine = np.sqrt(leak / np.arange(1, 8))
+    assert np.sin(found.rms_angle) == pytest.approx(sine, rel=1e-9, abs=1e-15)
     assert found.overlap == pytest.approx(1 - leak / np.arange(1, 8), abs=1e-15)
     assert found.largest_angle == pytest.approx([0, 0, angle, angle, 0, 0], rel=1e-7, abs=1e-15)
-    assert found.distance == pytest.approx(np.sin(angle) * np.sqrt((1 / 3 + 1 / 4) / 6), rel=1e-9)
+    mean = np.sin(angle) * np.sqrt((1 / 3 + 1 / 4) / 6)
+    assert np.sin(found.distance) == pytest.approx(mean, rel=1e-9)
+
+
+@pytest.mark.parametrize("degrees", [1e-6, 9.9, 65.7, 90.0])
+def test_a_span_turned_as_a_whole_is_turned_by_that_angle(degrees):
+    """Each of five modes is turned towards a direction of its own: all angles are the same."""
+    angle, modes = np.radians(degrees), np.eye(10)[:, :5]
+    found = compare_modes(modes, np.cos(angle) * modes + np.sin(angle) * np.eye(10)[:, 5:])
+    assert found.rms_angle == pytest.approx(np.full(5, angle), rel=1e-9)
+    assert found.largest_angle == pytest.approx(np.full(5, angle), rel=1e-9)
+    assert found.distance == pytest.approx(angle, rel=1e-9)
 
 
 def test_a_pair_turned_within_itself_is_no_difference():
@@ -583,7 +595,7 @@ def test_angles_are_those_between_subspaces():
         angles = scipy.linalg.subspace_angles(one[:, :order], other[:, :order])
         assert found.overlap[order - 1] == pytest.approx(np.mean(np.cos(angles) ** 2), rel=1e-9)
         assert found.largest_angle[order - 1] == pytest.approx(angles.max(), rel=1e-6)
-    assert 0.5 < found.distance < 0.9
+    assert 0.7 < found.distance < 1.1  # pi/4 on average over all orders of a whole space
     same = compare_modes(one, -3 * one)
     assert same.distance < 1e-14
 

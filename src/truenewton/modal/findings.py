@@ -69,8 +69,8 @@ class ModesComparison:
 
     # (k,) mean cos^2 of the N angles between the spans of the first N modes, N = 1..k
     overlap: Array
-    # (k,) rms sine of these angles [rad], from the part outside the span, so that small angles are
-    # exact
+    # (k,) the angle whose sin^2 is the mean sin^2 of these angles [rad], from the part outside the
+    # span, so that small angles are exact
     rms_angle: Array
     # (q,) some N, all if k is at most `MAX_ORDERS`, and the largest angle there [rad]
     orders: NDArray[np.int64]
@@ -78,8 +78,8 @@ class ModesComparison:
     # (k,) true if modes N and N + 1 have nearly the same stiffness, so that the span of the first N
     # is arbitrary; false without stiffness
     cuts: NDArray[np.bool_]
-    # rms of ``rms_angle`` over the orders N < n that cut no pair [rad]: 0 for equal modes, about
-    # 1/2^1/2 for random ones
+    # the same of all orders N < n that cut no pair [rad]: 0 for equal modes, about pi/4 for random
+    # ones
     distance: float
 
 
@@ -117,11 +117,11 @@ def compare_modes(one: Array, other: Array, stiffness: Array | None = None) -> M
         orders = uncut[np.unique(np.abs(uncut[:, None] - wanted).argmin(axis=0))]
     return ModesComparison(
         overlap=1.0 - sine**2,
-        rms_angle=sine,
+        rms_angle=np.arcsin(sine),
         orders=orders,
         largest_angle=np.array([_largest_angle(v, w, c, int(order)) for order in orders]),
         cuts=cuts,
-        distance=float(np.sqrt(np.mean(sine[uncut - 1] ** 2))) if uncut.size else float("nan"),
+        distance=float(np.arcsin(np.sqrt(np.mean(sine[uncut - 1] ** 2)))) if uncut.size else np.nan,
     )
 
 
