@@ -535,6 +535,31 @@ def test_warmer_magnets_under_a_load_shift_the_scale_as_stated():
     assert names == of_one.keys() - {WARM}
 
 
+def tilted(true, **declared):
+    """Return a campaign under the bare mirror and a tilt, with its declaration, and its alpha."""
+    loads = (Load("bare"), Load("tilted", tilt=true))
+    campaign, truth = campaign_of(5, 1e-5, loads=loads)
+    load = [Load("bare"), Load("tilted", **declared)]
+    return changed(campaign, load=lambda k, c: load[k // 2]), truth[:14]
+
+
+def test_a_misaligned_tilt_is_undetectable_and_shifts_the_scale_as_stated():
+    """45 +- 0.1 degrees, and 46 in truth: 9.5 stated errors, which nothing else showed."""
+    campaign, alpha = tilted(46.0, tilt=45.0, tilt_error=0.1)
+    found = calibrate(campaign)
+    [stated] = [e.relative for e in found.unseen if e.name == "the tilt is wrong by 1 degree"]
+    off = np.mean(found.alpha / alpha) - 1
+    assert abs(off) > 8 * np.mean(found.error / alpha)
+    assert stated == pytest.approx(abs(off), rel=0.05)
+    unsure, _ = tilted(45.0, tilt=45.0, tilt_error=1.0)  # E_SYST contains it
+    assert "the tilt is wrong by 1 degree" not in {e.name for e in calibrate(unsure).unseen}
+
+
+def test_without_an_added_weight_there_is_nothing_to_support():
+    campaign, _ = tilted(45.0, tilt=45.0, tilt_error=0.1)
+    assert not [each.name for each in calibrate(campaign).unseen if "support" in each.name]
+
+
 # ------------------------------------------------------------------------------ forces, and noise
 
 

@@ -260,12 +260,33 @@ def _with_new_noise(problem: Problem, moments: Moments) -> Problem:
 
 # -- effects that the data cannot show -------------------------------------------------------------
 
+MISALIGNMENT = 1.0  # of a mirror that is tilted by hand, or by the angles of a telescope [deg]
 MIN_REMAINING_SIZE = 0.1  # of the usual size, below which the data determine an effect
 
 
-def supported(fit: FittedRows) -> Array:
-    """Return a support of 5 mN of each load but the first, (g, 3, L - 1)."""
-    return 5e-3 * on_loads(fit)
+def supported(fit: FittedRows) -> Array | None:
+    """Return a support of 5 mN of each added weight, (g, 3, K); under the first load there is none.
+
+    Loads that differ by their tilt alone have no added weight that something else could support.
+    """
+    added = [k > 0 and bool(load.added) for k, load in enumerate(fit.problem.campaign.loads)]
+    return 5e-3 * on_loads(fit, added) if any(added) else None
+
+
+def misaligned_tilt(fit: FittedRows) -> Array | None:
+    """Return a tilt that is wrong by 1 degree under each of K loads that lean, (g, 3, K).
+
+    None if every E_TILT is at least as large: then E_SYST contains it.
+    """
+    loads = fit.problem.campaign.loads
+    careful = [load.tilt_error < MISALIGNMENT for load in loads]
+    which = leaning(loads) & careful
+    if not which.any():
+        return None
+    sine = np.sin(np.radians([load.tilt for load in loads]))
+    held = fit.problem.campaign.weight + np.array([load.added for load in loads])
+    change = -held * sine * np.radians(MISALIGNMENT)
+    return change[which] * on_loads(fit, which)
 
 
 def zero_by_load(fit: FittedRows) -> Array:
@@ -304,6 +325,7 @@ def shifted_coils(fit: FittedRows) -> Array | None:
 # contains it.
 UNDETECTABLE_EFFECTS: dict[str, Callable[[FittedRows], Array | None]] = {
     "something else supports 5 mN of an added weight": supported,
+    "the tilt is wrong by 1 degree": misaligned_tilt,
     "all force zeros shift under one load by 10 % of the noise of a reading": zero_by_load,
     "the bias magnets are 1 K warmer under one load": warmer_magnets,
     "the coils move by 5 um when the mirror is tilted": shifted_coils,
