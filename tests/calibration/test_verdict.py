@@ -17,7 +17,13 @@ from truenewton.calibration import figures
 from truenewton.calibration.verdict import Level, verdict_on
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.findings.catalogue import read_name
-from truenewton.estimation.findings.estimate import Goodness, NoiseSource
+from truenewton.estimation.findings.estimate import (
+    ErrorKind,
+    ErrorSource,
+    Goodness,
+    NoiseSource,
+    ScaleError,
+)
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.records.campaign import Campaign
@@ -180,7 +186,7 @@ def with_held_out(c, before, after):
         (lambda c: replace(c, statistical_error=6.6 * c.alpha), "rejected", "distinguished from 0"),
         (lambda c: replace(c, systematic_error=0.5 * c.alpha, scale_errors=()), "usable",
          "of the common scale is 50 %"),
-        (lambda c: replace(c, systematic_error=0.0 * c.alpha), "usable", "without errors"),
+        (lambda c: replace(c, systematic_error=0.0 * c.alpha), "usable", "plausible errors"),
         (lambda c: replace(c, rejected=100), "doubtful", "of the rows do not fit"),
         (lambda c: with_held_out(c, 0.05, 0.03), "doubtful", "held-out modes"),
         (lambda c: with_held_out(c, 0.05, 0.06), "rejected", "worse with alpha"),
@@ -193,6 +199,22 @@ def test_what_makes_a_verdict(clean, change, level, said):
     assert said in faults(verdict)
     assert verdict.level == level
     assert said in str(verdict) or level != "rejected"  # what is grave is said first
+
+
+@pytest.mark.parametrize(("kind", "remedy"), [
+    (ErrorKind.TILT, "if you measure the tilt of 'ring' to 0.01 degrees, the scale error falls"),
+    (ErrorKind.BETWEEN_LOADS, "keep the temperature"),
+    (ErrorKind.COIL_SHIFT, "measure how far the coils move"),
+    (ErrorKind.EARLIER, "repeat the earlier calibration"),
+])  # fmt: skip
+def test_the_advice_on_the_scale_is_about_its_largest_error(clean, kind, remedy):
+    """It was to weigh the loads more accurately, whatever the cause."""
+    largest = ScaleError(ErrorSource(kind, "ring"), 0.02)
+    tilted = tuple(replace(load, tilt_error=0.1) for load in clean.loads)
+    verdict = verdict_on(replace(clean, loads=tilted, scale_errors=(largest,)))
+    [finding] = [each for each in verdict.faults if each.code is tn.Code.SCALE_BY_WEIGHTS]
+    assert finding.remedy.startswith(remedy)
+    assert "weigh" not in finding.remedy
 
 
 @pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")

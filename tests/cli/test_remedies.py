@@ -44,6 +44,12 @@ def bent(power, size, noise=5e-5):
     return bench.campaign().cycles
 
 
+def tilted():
+    """Return a campaign under the bare mirror and a tilt."""
+    loads = (Load("bare"), Load("tilted", tilt=45.0))
+    return campaign_of(5, 1e-3, loads=loads)[0]
+
+
 FAULTS = {
     "stuck": (
         lambda: with_forces(p45(), stuck(7)),
@@ -92,7 +98,15 @@ FAULTS = {
     ),
     "E_ADDED is 0": (
         lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
-        "usable", "the weights are given without errors (E_ADDED of 'ring' is 0)", "E_WEIGHT",
+        "usable", "without plausible errors (E_ADDED of 'ring' is 0)", "E_WEIGHT",
+    ),
+    "E_ADDED of 1 ug": (
+        lambda: [replace(c, load=replace(c.load, added_error=1e-8)) for c in p45()],
+        "usable", "'ring' is 1e-05 mN, less than the buoyancy of air (0.043 mN)", "E_WEIGHT",
+    ),
+    "E_TILT is 0": (
+        lambda: tilted().cycles,
+        "usable", "without plausible errors (E_TILT of 'tilted' is 0)", "E_TILT in degrees",
     ),
     "WEIGHT ten times too large": (
         lambda: p45(weight=-29.2),

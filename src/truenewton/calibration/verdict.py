@@ -24,6 +24,7 @@ from truenewton.estimation.findings.estimate import (
     ErrorKind,
     RejectedRow,
     Scale,
+    ScaleError,
     added_source,
     scale_total,
     tilt_as_load,
@@ -40,6 +41,7 @@ from truenewton.records.result import verdict_of
 from truenewton.records.tables import size_doubt
 from truenewton.rounding import percent, significant, with_error
 from truenewton.statics.arms import effective_weight
+from truenewton.statics.load import MIN_LEAN
 
 REGARDLESS = (
     "to use it regardless, for a diagnosis only: --anyway (in Python: accept_rejected=True)"
@@ -293,7 +295,15 @@ def _graver(c: Calibration, about: Collection[Concern]) -> Iterator[Finding]:
 # -- the common scale: its unit, the weights, and their errors ------------------------------------
 
 NO_ERROR = 1e-6  # of the common scale; no weight is known better
+MIN_WEIGHING_ERROR = 1.5e-4  # of a weight: the buoyancy of air, 1.2 kg/m^3, on steel, 8000 kg/m^3
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
+OTHER_SCALE_REMEDIES = {  # of errors that neither a better balance nor a better angle lowers
+    ErrorKind.COIL_SHIFT: "measure how far the coils move as the mirror leans (COILZ and E_COILZ)",
+    ErrorKind.BETWEEN_LOADS: "keep the temperature the same under all loads, or take bare and"
+    " loaded cycles in turn",
+    ErrorKind.EARLIER: "repeat the earlier calibration with a smaller error of its scale",
+    ErrorKind.TEMPERATURE: "measure at the temperature of the earlier calibration",
+}
 GRAVITY = 9.81  # [m/s^2]
 FORCE_IN = "correct the unit of FORCE where it is declared, or convert its values to N"
 WEIGHTS_IN = f"store WEIGHT and ADDED in N: {-GRAVITY} for a kilogram"
@@ -359,13 +369,31 @@ def scale_faults(c: Calibration) -> Iterator[Finding]:
         alike = similar_loads(weights_along_axis(c))
         if alike and typical(c.error, c.alpha) > SIMILAR_LOADS_FRACTION:
             yield alike
-        exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
-        if exact or weights < NO_ERROR:
-            which = f" (E_ADDED of {' and '.join(exact)} is 0)" if exact else ""
-            yield Finding.of(Code.WEIGHTS_WITHOUT_ERRORS, which=which)
+        yield from _weights_without_errors(c, weights)
     if weights > LIMITS.scale_share * readings:
         limit = scale_limit(c)
         yield limit or Finding.of(Code.SCALE_BY_WEIGHTS, error=weights, share="")
+
+
+def _weights_without_errors(c: Calibration, error: float) -> Iterator[Finding]:
+    """Yield that weights or tilts have no error, or a smaller one than any weighing has.
+
+    ``error`` is that of the common scale.
+    """
+    least = {load.name: MIN_WEIGHING_ERROR * abs(load.added) for load in c.loads}
+    exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
+    small = [
+        f"E_ADDED of '{load.name}' is {1e3 * load.added_error:.2g} mN, less than the buoyancy of"
+        f" air ({1e3 * least[load.name]:.2g} mN)"
+        for load in c.loads
+        if 0.0 < load.added_error < least[load.name]
+    ]
+    leaning = [f"'{q.name}'" for q in c.loads if abs(q.tilt) > MIN_LEAN and not q.tilt_error]
+    which = [f"E_ADDED of {' and '.join(exact)} is 0"] if exact else []
+    which += [f"E_TILT of {' and '.join(leaning)} is 0"] if leaning else []
+    if which or small or error < NO_ERROR:
+        inside = "; ".join([*which, *small])
+        yield Finding.of(Code.WEIGHTS_WITHOUT_ERRORS, which=f" ({inside})" if inside else "")
 
 
 def weights_along_axis(c: Calibration) -> Array:
@@ -379,25 +407,32 @@ def scale_limit(c: Calibration) -> Finding | None:
         return None
     total, largest = scale_total(c.scale_errors), c.scale_errors[0]
     share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
-    remedy = ""
-    weighed = [load.added_error for load in c.loads if added_source(load) == largest.source]
-    if largest.source.kind in WEIGHED and (error := max(weighed, default=c.weight_error)) > 0.0:
-        better = np.sqrt(total**2 - 0.99 * largest.relative**2)
-        what = f"'{largest.source.name}'" if weighed else "the mirror"
-        remedy = (
-            f"if you weigh {what} to {100 * error:.2g} mN, the scale error falls to"
-            f" {percent(better)}"
-        )
-    if not any(load.tilt for load in c.loads):
-        tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
-        if tilted < total:
-            remedy += (
-                f"{'. If' if remedy else 'if'} you use a tilt of 60 ± 0.1 degrees as the load, the"
-                f" scale error is {percent(tilted)}"
-            )
     return Finding.of(
         Code.SCALE_BY_WEIGHTS,
         error=total,
         share=f", and {share} comes from the {largest.source}",
-        remedy=remedy,
+        remedy=_scale_remedy(c, largest, total),
     )
+
+
+def _scale_remedy(c: Calibration, largest: ScaleError, total: float) -> str:
+    """Return what lowers the largest error of the common scale; '' for that of the catalogue."""
+    kind, name = largest.source.kind, largest.source.name
+    better = f"the scale error falls to {percent(np.sqrt(total**2 - 0.99 * largest.relative**2))}"
+    if kind == ErrorKind.TILT:
+        error = max((load.tilt_error for load in c.loads if load.name == name), default=0.0)
+        return f"if you measure the tilt of '{name}' to {0.1 * error:.2g} degrees, {better}"
+    if kind not in WEIGHED:
+        return OTHER_SCALE_REMEDIES[kind]
+    weighed = [load.added_error for load in c.loads if added_source(load) == largest.source]
+    remedies = []
+    if (error := max(weighed, default=c.weight_error)) > 0.0:
+        what = f"'{name}'" if weighed else "the mirror"
+        remedies.append(f"if you weigh {what} to {100 * error:.2g} mN, {better}")
+    tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
+    if tilted < total and not any(load.tilt for load in c.loads):
+        remedies.append(
+            f"{'If' if remedies else 'if'} you use a tilt of 60 ± 0.1 degrees as the load, the"
+            f" scale error is {percent(tilted)}"
+        )
+    return ". ".join(remedies)

@@ -229,8 +229,8 @@ ENTRIES: dict[Code, Entry] = {
         "check ADDED, TILT and their errors",
     ),
     Code.WEIGHTS_WITHOUT_ERRORS: _usable(
-        "the weights are given without errors{which}: the common scale has no stated error. An"
-        " error of 1 % in the added weight changes every alpha by 1 %",
+        "the weights are given without plausible errors{which}, so E_SYST is too small. An error of"
+        " 1 % in the added weight changes every alpha by 1 %",
         "write the standard uncertainties of the weighing into the files (E_WEIGHT and E_ADDED in"
         " N, E_TILT in degrees)",
     ),
