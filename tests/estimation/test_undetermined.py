@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.balanced import ungraded
+from helpers.balanced import changed, ungraded
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
+from truenewton.estimation import campaign_ml
 from truenewton.estimation.campaign_ml import (
     undetermined_patterns,
     with_patterns_held,
@@ -51,6 +52,21 @@ def test_undetermined_patterns_are_reported_and_errors_remain_valid():
     assert min(undetermined) >= 2
     assert sum(constrained) >= 2
     assert min(covered) >= 0.9
+
+
+def test_errors_are_multiplied_by_a_misfit_as_stated(monkeypatch):
+    """A force of 6 mN rms at one actuator, the same in all repeats."""
+    campaign, _ = faint(0)
+    force = np.array([c.force for c in campaign.cycles])
+    pushed = np.random.default_rng(5).normal(0.0, 6e-3, (2, force.shape[1])).repeat(4, axis=0)
+    force[:, :, 7] += pushed
+    found = calibrate(changed(campaign, force=lambda k, _: force[k]))
+    stated = {each.code: each.values for each in found.diagnosis.warnings}
+    assert "constrained-patterns" in stated
+    monkeypatch.setattr(campaign_ml, "_inflated", lambda left, _: left)
+    without = calibrate(changed(campaign, force=lambda k, _: force[k]))
+    ratio = np.median(found.statistical_error / without.statistical_error)
+    assert ratio == pytest.approx(stated["misfit"]["factor"])
 
 
 def test_the_other_patterns_are_as_accurate_as_stated():

@@ -209,7 +209,8 @@ def _with_all_errors(
 ) -> tuple[ExaminedFit, tuple[UnseenError, ...]]:
     """Return the fit with what else makes alpha unsure, and the undetectable errors."""
     if patterns.size:
-        return replace(left, minimum=with_undetermined_patterns(left.minimum, patterns)), ()
+        held = replace(left, minimum=with_undetermined_patterns(left.minimum, patterns))
+        return held if held.fits else _inflated(held, held.excess), ()
     if columns_are_wrong:
         return _inflated(left, left.excess), ()
     unseen = unseen_errors(left.rows)
