@@ -7,7 +7,9 @@ variation of alpha over the mirror as its rms error.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import scipy.linalg
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
+from truenewton.chance import normal_isf
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.checks import (
     campaign_warnings,
@@ -84,6 +87,7 @@ from truenewton.estimation.readings.rows import WEIGHED_NOISE
 from truenewton.estimation.screening.screen import ScreenedCampaign, refuse_too_many
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
+from truenewton.rounding import percent
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
 HELD_INFORMATION = 1e10  # on a pattern held at zero: 1e-5 until its error is added
@@ -166,9 +170,11 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
             if not (patterns.size or wrong):
                 left = examined(left, screened.structure, screened.samples)
         left, unseen = _with_all_errors(left, patterns, columns_are_wrong=wrong)
-        method = "ml"
+        method, doubts = "ml", misfit_findings(left)
         if population:
             left, method = _of_population(left, free.prior)
+        else:
+            doubts = chain(doubts, _no_better_than_uniform(left, free.prior))
         rejected, fitted = (*screened.rejected, *lost), (left.problem, left.moments, left.minimum)
         estimate = estimate_of(method, *fitted, rejected, patterns.shape[1], left.freedom)
         if estimate.diagnosis.undetermined:
@@ -181,7 +187,7 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
     clipped = () if belongs.all() and left.fits else screened.clipped
     effects = (*suspects.named, *strange, *clipped, *screened.frozen, *left.effects)
     effects += tuple(warmer_loads(sound, estimate.scale_errors))
-    return replace(estimate.with_warnings(misfit_findings(left)), effects=effects, unseen=unseen)
+    return replace(estimate.with_warnings(doubts), effects=effects, unseen=unseen)
 
 
 def _examined_whole(
@@ -238,6 +244,38 @@ def _of_population(left: ExaminedFit, prior: Prior) -> tuple[ExaminedFit, str]:
     fitted = replace(left, problem=problem, minimum=minimum)
     method = f"ml, population {spread:.2g}"
     return fitted if left.fits or left.explained else _inflated(fitted, left.excess), method
+
+
+def _no_better_than_uniform(left: ExaminedFit, prior: Prior) -> Iterator[Finding]:
+    """Yield that relative alpha is known no better than if it were the same for all actuators.
+
+    That is so if at least half of the variance of alpha over the actuators is error. Medians, so
+    that a few actuators do not decide; errors that grew with a misfit have another cause.
+    """
+    if not (left.fits or left.explained):
+        return
+    n = left.problem.n
+    alpha = left.minimum.values[:n]
+    spread = float(np.median(np.abs(alpha - np.median(alpha))) / normal_isf(0.25))
+    spread /= abs(float(alpha.mean()))
+    error = _relative_error(left)
+    if error**2 <= LIMITS.error_share * spread**2:
+        return
+    try:
+        pulled = percent(_relative_error(_of_population(left, prior)[0]))
+        instead = f"if you use --population, the typical error is {pulled}. "
+    except (RankDeficient, NotConverged):
+        instead = ""
+    yield Finding.of(Code.WORSE_THAN_UNIFORM, error=error, spread=spread, instead=instead)
+
+
+def _relative_error(left: ExaminedFit) -> float:
+    """Return the median over actuators of the relative error of alpha, without the common scale."""
+    n = left.problem.n
+    covariance, mean = left.minimum.reading_covariance[:n, :n], left.minimum.values[:n].mean()
+    with_mean = covariance.mean(axis=0)
+    variance = np.diag(covariance) - 2.0 * with_mean + with_mean.mean()
+    return float(np.sqrt(np.median(variance)) / abs(mean))
 
 
 def _fitted(

@@ -176,6 +176,11 @@ ENTRIES: dict[Code, Entry] = {
         " be uniform, with an rms uncertainty of {error:percent}",
         "use E_ALPHA. For differences along other patterns, use COVARIANCE",
     ),
+    Code.WORSE_THAN_UNIFORM: _doubtful(
+        "alpha scatters by {spread:percent} over the actuators, and most of that is error:"
+        " {error:percent} typically. Loading it is no better than one value for all actuators",
+        "{instead}To measure alpha better, repeat more often, use larger forces, or add shapes",
+    ),
     Code.NO_LOAD_SEEN: _rejected(
         "the forces are the same under all loads, so they do not contain the added weight",
         "check that each load was on the mirror in the files with its name, and check ADDED,"

@@ -81,6 +81,7 @@ class Code(StrEnum):
     # What the data of a campaign constrain.
     WEAK_PATTERNS = "weak-patterns"
     CONSTRAINED_PATTERNS = "constrained-patterns"
+    WORSE_THAN_UNIFORM = "worse-than-uniform"
     NO_LOAD_SEEN = "no-load-seen"
     ONE_LOAD = "one-load"
     EQUAL_LOADS = "equal-loads"
@@ -254,6 +255,9 @@ class Thresholds:
         2.0, Level.DOUBTFUL, "half of the gain difference between loads / E_ALPHA, above"
     )
     svd_bias: float = _at(1.0, Level.DOUBTFUL, "bias of method svd / E_STAT, above")
+    error_share: float = _at(
+        0.5, Level.DOUBTFUL, "share of error in the variance of alpha over the actuators, above"
+    )
     held_out_ratio: float = _at(
         2.5, Level.DOUBTFUL, "imbalance of held-out modes / that of fitted modes, above"
     )
