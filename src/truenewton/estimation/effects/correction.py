@@ -279,14 +279,16 @@ def misaligned_tilt(fit: FittedRows) -> Array | None:
     None if every E_TILT is at least as large: then E_SYST contains it.
     """
     loads = fit.problem.campaign.loads
-    careful = [load.tilt_error < MISALIGNMENT for load in loads]
-    which = leaning(loads) & careful
-    if not which.any():
+    which = [
+        bool(lean) and load.tilt_error < MISALIGNMENT
+        for load, lean in zip(loads, leaning(loads), strict=True)
+    ]
+    if not any(which):
         return None
     sine = np.sin(np.radians([load.tilt for load in loads]))
     held = fit.problem.campaign.weight + np.array([load.added for load in loads])
     change = -held * sine * np.radians(MISALIGNMENT)
-    return change[which] * on_loads(fit, which)
+    return np.asarray(change[which] * on_loads(fit, which))
 
 
 def zero_by_load(fit: FittedRows) -> Array:
