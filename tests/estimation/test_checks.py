@@ -8,6 +8,7 @@ import pytest
 
 import truenewton as tn
 from helpers.changed import p45, with_forces
+from helpers.small_bench import SmallBench
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.checks import likeliest_order
 from truenewton.estimation.screening.hypotheses import clusters
@@ -58,6 +59,65 @@ def test_wrong_labels_of_rows_are_reported(noise, cycles):
     last = int(files[1].shape.max())
     counted = replace(files[1], shape=files[1].shape % last + 1)
     check([files[0], counted, *files[2:]], "SHAPE numbered from another start", files[1].name)
+
+
+@pytest.mark.parametrize("noise", NOISE)
+def test_columns_that_lag_by_a_row_are_reported(noise):
+    """They were an unknown force, quadratic coils or wrong positions."""
+
+    def late(which):
+        def change(_, force):
+            force[1:, which] = force[:-1, which]
+            return force
+
+        return with_forces(p45(noise, 2), change)
+
+    found = [str(each.code) for each in tn.calibrate(Campaign(tuple(late([7, 30])))).effects]
+    assert found[0] == "other-row"
+    check(late([7]), "FORCE lags by a row", "actuator 8")
+    check(late(slice(None)), "FORCE lags by a row", "45 of 45 columns")
+    assert not any("lags" in text for text in messages(p45(noise, 2)))
+
+
+@pytest.mark.parametrize("noise", NOISE)
+@pytest.mark.parametrize("own", [0.0, 1.0])
+def test_a_column_that_repeats_another_is_reported(noise, own):
+    """It was an unknown force, a unit or wrong positions."""
+    random = np.random.default_rng(3)
+
+    def repeated(_, force):
+        force[:, 23] = force[:, 22] + own * noise * random.standard_normal(len(force))
+        return force
+
+    check(with_forces(p45(noise, 2), repeated), "two columns of FORCE are the same", "23 and 24")
+
+
+def pushed(bench):
+    """Push the mirror by another force in each shape of each sign."""
+    forces = 0.02 * bench.random.standard_normal((28, 3)) * [1.0, 0.1, 0.1]
+    bench.external = forces[bench.shape - 1 + 14 * (bench.sign > 0)]
+
+
+def other_sizes(bench):
+    """Let shapes differ under the load, each by itself, which no POSITION shows."""
+    bench.has_position = False
+    bench.size = 1 + (bench.load == 1) * bench.random.normal(0.0, 0.3, 14)[bench.shape - 1]
+
+
+@pytest.mark.parametrize(("happens", "similar", "where"), [
+    (pushed, "positions", ""),
+    (other_sizes, "gain by load", "shapes balance, but do not repeat"),
+])  # fmt: skip
+def test_an_effect_that_does_not_explain_the_data_is_unknown(happens, similar, where):
+    """It was 'positions', with the advice to measure X and Y."""
+    bench = SmallBench(3, 1e-4)
+    happens(bench)
+    [effect] = tn.calibrate(bench.campaign()).effects
+    assert (effect.code, effect.level) == (tn.Code.UNKNOWN_EFFECT, "doubtful")
+    assert effect.name == f"unknown effect, most similar to {similar}"
+    assert effect.where.startswith(where)
+    assert "measure X and Y" not in effect.remedy
+    assert "Possible causes, besides" in effect.remedy
 
 
 def test_a_dead_actuator_and_exchanged_poles_are_reported():

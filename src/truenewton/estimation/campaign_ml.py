@@ -25,6 +25,7 @@ from truenewton.estimation.checks import (
     refusal_naming,
     strange_alphas,
 )
+from truenewton.estimation.effects.catalogue import CATALOGUE
 from truenewton.estimation.effects.correction import (
     unseen_errors,
     with_magnets_unsure,
@@ -185,7 +186,8 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
     alpha = left.minimum.values[: problem.n]
     strange = () if suspects.columns else strange_alphas(screened.campaign, alpha, error)
     clipped = () if belongs.all() and left.fits else screened.clipped
-    effects = (*suspects.named, *strange, *clipped, *screened.frozen, *left.effects)
+    found = (_as_known(effect, left) for effect in left.effects)
+    effects = (*suspects.named, *strange, *clipped, *screened.frozen, *found)
     effects += tuple(warmer_loads(sound, estimate.scale_errors))
     return replace(estimate.with_warnings(doubts), effects=effects, unseen=unseen)
 
@@ -226,6 +228,23 @@ def _with_all_errors(
     return left if left.fits or left.explained else _inflated(left, left.excess), unseen
 
 
+def _as_known(effect: Finding, left: ExaminedFit) -> Finding:
+    """Return an effect of the catalogue as unknown if the data do not fit with it, either.
+
+    It is the likeliest of those that are tested, but the cause is probably another.
+    """
+    if effect.code == Code.UNKNOWN_FORCE:
+        return replace(effect, remedy="")  # that of the catalogue
+    tested = effect.code in {each.code for each in CATALOGUE}
+    if effect.corrected or left.explained or not tested:
+        return effect
+    where = "" if effect.actuators else effect.where  # of a file or load
+    if left.fits:
+        where = "shapes balance, but do not repeat over loads and signs"
+    unknown = replace(effect, code=Code.UNKNOWN_EFFECT, detail=effect.name, remedy="")
+    return replace(unknown, where=where, actuators=())
+
+
 def _inflated(left: ExaminedFit, excess: float) -> ExaminedFit:
     """Return a fit with errors inflated by the excess of the imbalance over its noise."""
     covariance = excess * left.minimum.reading_covariance
@@ -252,12 +271,11 @@ def _no_better_than_uniform(left: ExaminedFit, prior: Prior) -> Iterator[Finding
     That is so if at least half of the variance of alpha over the actuators is error. Medians, so
     that a few actuators do not decide; errors that grew with a misfit have another cause.
     """
-    if not (left.fits or left.explained):
+    alpha = left.minimum.values[: left.problem.n]
+    typical = float(np.median(alpha))
+    if not (left.fits or left.explained) or typical <= 0.0:
         return
-    n = left.problem.n
-    alpha = left.minimum.values[:n]
-    spread = float(np.median(np.abs(alpha - np.median(alpha))) / normal_isf(0.25))
-    spread /= abs(float(alpha.mean()))
+    spread = float(np.median(np.abs(alpha - typical)) / normal_isf(0.25)) / typical
     error = _relative_error(left)
     if error**2 <= LIMITS.error_share * spread**2:
         return
@@ -272,10 +290,10 @@ def _no_better_than_uniform(left: ExaminedFit, prior: Prior) -> Iterator[Finding
 def _relative_error(left: ExaminedFit) -> float:
     """Return the median over actuators of the relative error of alpha, without the common scale."""
     n = left.problem.n
-    covariance, mean = left.minimum.reading_covariance[:n, :n], left.minimum.values[:n].mean()
+    covariance = left.minimum.reading_covariance[:n, :n]
     with_mean = covariance.mean(axis=0)
     variance = np.diag(covariance) - 2.0 * with_mean + with_mean.mean()
-    return float(np.sqrt(np.median(variance)) / abs(mean))
+    return float(np.sqrt(np.median(variance)) / np.median(left.minimum.values[:n]))
 
 
 def _fitted(

@@ -46,6 +46,7 @@ from truenewton.estimation.paper.identifiability import centred_means, refuse
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.readings.moments import Moments, Noise
 from truenewton.estimation.readings.rows import WEIGHED_NOISE, is_displaced
+from truenewton.estimation.screening.hypotheses import squared_differences
 from truenewton.estimation.screening.screen import ScreenedCampaign, still_sensors, with_suspects
 from truenewton.linalg import ROWS_AT_ONCE, assignment, asymmetry
 from truenewton.records.campaign import Campaign, mean_temperature
@@ -98,7 +99,8 @@ class InputChecks:
             return self
         if self.unlike:
             return replace(self, files=self.files + self.unlike, unlike=())
-        return replace(self, columns=exchanged_columns(problem, moments) or self.columns)
+        columns = same_columns(problem, moments) or exchanged_columns(problem, moments)
+        return replace(self, columns=columns or self.columns)
 
 
 def check_inputs(screened: ScreenedCampaign, problem: Problem) -> InputChecks:
@@ -233,6 +235,23 @@ def likeliest_order(stiffness: Array) -> NDArray[np.int64]:
     """Return (n,) the column of POSITION that belongs to each of FORCE."""
     size = np.abs(stiffness)
     return assignment(-np.log(np.maximum(size, 1e-12 * size.max())))
+
+
+def same_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]:
+    """Name pairs of actuators whose readings differ by no more than their noise in all shapes.
+
+    Each alpha is another, and so are the forces of two actuators, even of neighbours.
+    """
+    variance, n = problem.noise.variance, problem.n
+    rows = (moments.mean * np.sqrt(moments.weight)[:, None]).T
+    apart = squared_differences(rows, rows) / (variance[:, None] + variance)
+    limit = float(f_isf(FALSE_ALARM / n**2, moments.groups, moments.repeats or 1e9))
+    shaken = np.sum(rows**2, axis=1) / variance > MIN_VARIANCE_RATIO * limit * moments.groups
+    same = (apart <= limit * moments.groups) & shaken[:, None] & shaken
+    return tuple(
+        about_actuators(problem.campaign.layout, Code.SAME_READINGS, [i, j])
+        for i, j in np.argwhere(np.triu(same, 1)).tolist()
+    )
 
 
 def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]:

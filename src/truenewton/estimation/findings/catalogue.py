@@ -68,29 +68,30 @@ _GRADIENTS = (
 _FROZEN_ROWS = "leave the file out, or mark the rows that repeat the previous row as not VALID"
 _LABELS = "correct SHAPE and SIGN of the file, or leave it out"
 
+_NAMED_AS_THEIR_CODE = (
+    Code.GAIN_BY_HOUR, Code.GAIN_BY_HOUR_OF_EACH, Code.GAIN_BY_FILE, Code.GAIN_BY_LOAD,
+    Code.ZERO_BY_HOUR, Code.ZERO_BY_HOUR_OF_EACH, Code.ZERO_BY_FILE,
+    Code.ZERO_BY_FILE_OF_EACH, Code.QUADRATIC_COIL, Code.QUADRATIC_COIL_OF_EACH,
+    Code.CUBIC_COIL, Code.CUBIC_COIL_OF_EACH, Code.COIL_GRADIENT, Code.BIAS_GRADIENT,
+    Code.CONTACT_IN_ONE_SIGN, Code.CONTACT_IN_ONE_SIGN_BY_LOAD, Code.POSITIONS,
+    Code.CORRELATED_NOISE,
+)  # fmt: skip
 ENTRIES: dict[Code, Entry] = {
-    Code.GAIN_BY_HOUR: Entry("gain by hour"),
-    Code.GAIN_BY_HOUR_OF_EACH: Entry("gain by hour of each"),
-    Code.GAIN_BY_FILE: Entry("gain by file"),
+    **{code: Entry(code.replace("-", " ")) for code in _NAMED_AS_THEIR_CODE},
     Code.GAIN_BY_FILE_OF_SINGLE: Entry("gain of single actuators by file"),
-    Code.GAIN_BY_LOAD: Entry("gain by load"),
     Code.WEIGHT_OF_LOAD: Entry("weight of a load"),
-    Code.ZERO_BY_HOUR: Entry("zero by hour"),
-    Code.ZERO_BY_HOUR_OF_EACH: Entry("zero by hour of each"),
-    Code.ZERO_BY_FILE: Entry("zero by file"),
-    Code.ZERO_BY_FILE_OF_EACH: Entry("zero by file of each"),
     Code.LOAD_REPOSITIONED: Entry("load repositioned between files"),
-    Code.QUADRATIC_COIL: Entry("quadratic coil"),
-    Code.QUADRATIC_COIL_OF_EACH: Entry("quadratic coil of each"),
-    Code.CUBIC_COIL: Entry("cubic coil"),
-    Code.CUBIC_COIL_OF_EACH: Entry("cubic coil of each"),
-    Code.COIL_GRADIENT: Entry("coil gradient"),
-    Code.BIAS_GRADIENT: Entry("bias gradient"),
-    Code.CONTACT_IN_ONE_SIGN: Entry("contact in one sign"),
-    Code.CONTACT_IN_ONE_SIGN_BY_LOAD: Entry("contact in one sign by load"),
-    Code.POSITIONS: Entry("positions"),
-    Code.UNKNOWN_FORCE: Entry("unknown force"),
-    Code.CORRELATED_NOISE: Entry("correlated noise"),
+    Code.UNKNOWN_FORCE: Entry(
+        "unknown force",
+        remedy="check that its column of FORCE contains its own readings, of the same rows. If so,"
+        " look for friction, dust in its gap or a cable at it",
+    ),
+    Code.UNKNOWN_EFFECT: Entry(
+        "unknown effect, most similar to {}",
+        remedy="look at the residuals in `truenewton report` for rows, files or actuators that do"
+        " not fit. Possible causes, besides {detail}: FORCE of another row or actuator, shapes that"
+        " differ between files, noise that grows with the force, a wrong FORCERR or label",
+    ),
     Code.TEMPERATURE_BETWEEN_LOADS: Entry("temperature between the loads", level=Level.USABLE),
     Code.DEAD_NO_FORCE: _of_silent(
         "dead actuator, no force is commanded", f"check its coil, driver and cable. {_DISABLE}"
@@ -126,6 +127,15 @@ ENTRIES: dict[Code, Entry] = {
     Code.LOAD_OF_TWO_NAMES: Entry("one load under two names", level=Level.USABLE),
     Code.EXCHANGED_COLUMNS: _of_input("exchanged columns of {}", _IN_ORDER),
     Code.OTHER_ORDER: _of_input("another order of {}", _IN_ORDER),
+    Code.OTHER_ROW: _of_input(
+        "FORCE lags by a row",
+        "move these columns of FORCE by one row, and mark the last row of each file as not VALID."
+        " Check when the electronics record FORCE",
+    ),
+    Code.SAME_READINGS: _of_input(
+        "two columns of FORCE are the same",
+        "command one of the actuators alone, and read FORCE of the other from its own channel",
+    ),
     Code.ORDER_OF_POSITION: _of_input("order of FORCE is not that of POSITION", ORDER_OF_BOTH),
     Code.MISPLACED_ACTUATOR: _of_input(
         "actuator is not at its X and Y",

@@ -39,6 +39,7 @@ class Code(StrEnum):
     CONTACT_IN_ONE_SIGN_BY_LOAD = "contact-in-one-sign-by-load"
     POSITIONS = "positions"
     UNKNOWN_FORCE = "unknown-force"
+    UNKNOWN_EFFECT = "unknown-effect"
     CORRELATED_NOISE = "correlated-noise"
     TEMPERATURE_BETWEEN_LOADS = "temperature-between-loads"
     # Single actuators and sensors.
@@ -57,6 +58,8 @@ class Code(StrEnum):
     LOAD_OF_TWO_NAMES = "load-of-two-names"
     EXCHANGED_COLUMNS = "exchanged-columns"
     OTHER_ORDER = "other-order"
+    OTHER_ROW = "other-row"
+    SAME_READINGS = "same-readings"
     ORDER_OF_POSITION = "order-of-position"
     MISPLACED_ACTUATOR = "misplaced-actuator"
     TWO_MIRRORS = "two-mirrors"

@@ -33,6 +33,7 @@ from truenewton.estimation.readings.moments import Moments, WithinGroups
 from truenewton.estimation.readings.repeats import RowPrints, common_labels
 from truenewton.linalg import assignment
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
 from truenewton.rounding import listed, significant
 from truenewton.statics.arms import enabled_arms
 
@@ -198,6 +199,7 @@ def _square(values: Array) -> Array:
 
 MIN_RELABELLED_FRACTION = 0.3  # of the rows of a file fit other labels
 MIN_SAME_SHIFT_FRACTION = 0.8  # of these are shifted alike
+MAX_PAIRS = 48  # of a shape and its negative, of a file
 
 
 def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding, ...]:
@@ -245,6 +247,40 @@ def _other_labels(
     if step.any() and np.mean(step == np.bincount(step).argmax()) > MIN_SAME_SHIFT_FRACTION:
         return Code.SHAPE_OFFSET
     return Code.OTHER_LABELS
+
+
+def columns_of_other_rows(campaign: Campaign) -> Iterator[Finding]:
+    """Yield the actuators whose FORCE lags by a row.
+
+    The sum of a shape and its negative contains only the forces at rest, so it is the same for all
+    shapes of a file. If it is not, and that of the readings one row later is, they lag.
+    """
+    if not all(isinstance(cycle.force, np.ndarray) for cycle in campaign.cycles):
+        return
+    here, later = list[Array](), list[Array]()
+    for cycle in campaign.cycles:
+        pairs, force = _opposite_rows(cycle), cycle.used_force
+        for found, rows in ((here, pairs), (later, pairs + 1)):
+            sums = force[rows].sum(axis=1)
+            found.append(np.abs(sums - np.median(sums, axis=0)) if len(sums) else sums)
+    if sum(len(sums) for sums in here) < MIN_SHARED_LABELS:
+        return
+    before, after = (np.median(np.concatenate(each), axis=0) for each in (here, later))
+    lagging = np.flatnonzero(agree(after**2, before**2))
+    if lagging.size:
+        size = float(before[lagging].max())
+        yield about_actuators(
+            campaign.layout, Code.OTHER_ROW, lagging, many="columns", size=size, unit="N"
+        )
+
+
+def _opposite_rows(cycle: Cycle) -> NDArray[np.int64]:
+    """Return (m, 2) some of the rows that count of a shape and its negative, but the last row."""
+    codes = (cycle.shape * cycle.sign)[cycle.valid][:-1]
+    first = dict(zip(*np.unique(codes, return_index=True), strict=True))
+    pairs = [(row, first[-code]) for code, row in first.items() if code > 0 and -code in first]
+    chosen = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return chosen[:: max(1, len(chosen) // MAX_PAIRS)]
 
 
 # --- load -----------------------------------------------------------------------------------------

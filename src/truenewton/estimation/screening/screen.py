@@ -35,6 +35,7 @@ from truenewton.estimation.readings.moments import (
 from truenewton.estimation.readings.repeats import RepeatSums, RowPrints
 from truenewton.estimation.screening.hypotheses import (
     MIN_DIFFERENCE_OF_REPEATING_FILES,
+    columns_of_other_rows,
     compare_files,
     copied_files,
     mislabelled_files,
@@ -90,6 +91,7 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
         *apart,
         *copied_files(campaign, prints, in_steps=bool(np.any(sums.step))),
         *mislabelled_files(campaign, sums.moments),
+        *columns_of_other_rows(campaign),
         *frozen_readings(campaign, prints),
     )
     clipped = clipped_readings(campaign, prints)
