@@ -4,55 +4,43 @@ from dataclasses import replace
 
 import pytest
 
-from reference import golden
-from reference.cases import CASES, FAST, TOLERANCES
-from reference.recorded import as_text, compare, compute, from_text, path_of
+from reference.cases import CASES
+from reference.recorded import (
+    FOLDER,
+    as_text,
+    compare,
+    compute,
+    from_text,
+    path_of,
+    recorded,
+    sections,
+)
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=() if n in FAST else pytest.mark.study) for n in CASES],
+    [pytest.param(n, marks=() if case.fast else pytest.mark.study) for n, case in CASES.items()],
 )
 def test_a_result_is_as_it_was_recorded(name):
     result = compute(name)
     if result is None:
         pytest.skip("TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set")
-    recorded = from_text(path_of(name).read_text(encoding="utf-8"))
-    assert compare(recorded, from_text(as_text(result)), TOLERANCES[name]) == []
+    before = from_text(recorded(name))
+    assert compare(before, from_text(as_text(result)), CASES[name].tolerance) == []
 
 
-def test_every_recorded_file_has_a_case():
+def test_every_recorded_result_has_a_case():
     paths = {path_of(name) for name in CASES}
-    assert len(paths) == len(CASES)
-    assert set(path_of("plan").parent.glob("*")) == paths
+    assert set(FOLDER.glob("*")) == paths
+    heads = [head for path in paths for head in sections(path) if head]
+    assert sorted(heads) == sorted(name for name, case in CASES.items() if case.file)
 
 
 def test_a_small_change_is_seen():
-    recorded = from_text(path_of("p45, 1 mN").read_text(encoding="utf-8"))
-    columns = recorded.columns | {"ALPHA": recorded.columns["ALPHA"] * (1 + 1e-6)}
-    assert len(compare(recorded, replace(recorded, columns=columns))) == 1
-    less = replace(recorded, sentences=recorded.sentences[:-1])
-    assert compare(recorded, less) == [f"- {recorded.sentences[-1]}"]
-    verdict = tuple(x.replace("verdict: ", "verdict: not ") for x in recorded.sentences)
-    assert len(compare(recorded, replace(recorded, sentences=verdict))) == 2
-
-
-def test_the_same_commands_write_the_same_bytes():
-    first, second = golden.outputs(["prove"]), golden.outputs(["prove"])
-    assert len(first) == 4  # three commands and a figure
-    assert first == second
-
-
-def test_another_output_is_seen_on_this_and_another_machine():
-    text = "exit code 0\nactuator 1: alpha 0.91\nactuator 2: alpha 0.93\n"
-    old = golden.summary("a.txt", text.encode())
-    for change, same_machine, elsewhere in (
-        ("0.93", 0, 0),
-        ("0.93000001", 1, 0),
-        ("0.94", 1, 1),
-        ("0.93 doubtful", 1, 1),
-        ("0.93 0.94", 2, 2),
-    ):
-        new = golden.summary("a.txt", text.replace("0.93", change).encode())
-        assert len(golden.differences(old, new, bytewise=True)) == same_machine
-        assert len(golden.differences(old, new, bytewise=False)) == elsewhere
+    before = from_text(recorded("p45, 1 mN"))
+    columns = before.columns | {"ALPHA": before.columns["ALPHA"] * (1 + 1e-6)}
+    assert len(compare(before, replace(before, columns=columns))) == 1
+    less = replace(before, sentences=before.sentences[:-1])
+    assert compare(before, less) == [f"- {before.sentences[-1]}"]
+    verdict = tuple(x.replace("verdict: ", "verdict: not ") for x in before.sentences)
+    assert len(compare(before, replace(before, sentences=verdict))) == 2

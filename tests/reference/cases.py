@@ -54,23 +54,44 @@ class Result:
     columns: dict[str, Array] | None = None
 
 
-CASES: dict[str, Callable[[], Any]] = {}
-FAST = set[str]()
 # Of the stated error. Sums in another order, another processor or number of threads move alpha by
 # less; one part in a million of alpha is more wherever E_STAT is below 1 %.
 TOLERANCE = 1e-4
-TOLERANCES: dict[str, float] = {}
+
+
+@dataclass(frozen=True)
+class Case:
+    """How a result is made, and how it is recorded.
+
+    Attributes
+    ----------
+    make
+        A function of nothing.
+    file
+        The name of a file that several small cases share; otherwise empty.
+    fast
+        Whether it belongs to `make test`.
+    tolerance
+        Largest change of a value, in units of its error.
+    """
+
+    make: Callable[[], Any]
+    file: str = ""
+    fast: bool = False
+    tolerance: float = TOLERANCE
+
+
+CASES: dict[str, Case] = {}
 
 
 def case(
-    name: str, *, fast: bool = False, tolerance: float = TOLERANCE
+    name: str, *, file: str = "", fast: bool = False, tolerance: float = TOLERANCE
 ) -> Callable[[Callable[[], Any]], Callable[[], Any]]:
-    """List a function under a name; a fast one belongs to `make test`."""
+    """List a function under a name."""
 
     def listed(make: Callable[[], Any]) -> Callable[[], Any]:
-        CASES[name], TOLERANCES[name] = make, tolerance
-        if fast:
-            FAST.add(name)
+        assert name not in CASES, name
+        CASES[name] = Case(make, file, fast, tolerance)
         return make
 
     return listed
@@ -130,6 +151,19 @@ def calibration_result(c: tn.Calibration) -> Result:
         "E_SYST": c.systematic_error[on],
     }
     return Result(sentences, tuple(c.layout.id[on].tolist()), columns)
+
+
+def folded(whole: Result, count: int) -> Result:
+    """Return the first terms of the cosine series of alpha, with its rms errors."""
+    n = len(whole.ids)
+    waves = np.cos(np.pi * np.outer(np.arange(count), np.arange(n) + 0.5) / n) / np.sqrt(n)
+    columns = {
+        name: waves @ values
+        if name == "ALPHA"
+        else np.full(count, float(np.sqrt(np.mean(values**2))))
+        for name, values in whole.columns.items()
+    }
+    return Result(whole.sentences, tuple(range(count)), columns)
 
 
 # -- campaigns of P45 and others ------------------------------------------------------------------
@@ -235,12 +269,9 @@ def lbt672() -> Result | None:
     if folder is None:
         return None
     c = tn.calibrate(tn.read(Path(folder) / "lbt672" / "lbt672-feedforward.fits"))
-    whole = calibration_result(c)
-    n = len(whole.ids)
-    waves = np.cos(np.pi * np.outer(np.arange(12), np.arange(n) + 0.5) / n) / np.sqrt(n)
-    error = np.full(12, float(np.sqrt(np.mean(whole.columns["E_STAT"] ** 2))))
-    columns = {"ALPHA": waves @ whole.columns["ALPHA"], "E_STAT": error}
-    return Result(whole.sentences, tuple(range(12)), columns)
+    whole = folded(calibration_result(c), 12)
+    columns = {name: whole.columns[name] for name in ("ALPHA", "E_STAT")}
+    return replace(whole, columns=columns)
 
 
 # -- what is made of calibrations -----------------------------------------------------------------

@@ -14,12 +14,37 @@ from truenewton.errors import TrueNewtonError, TrueNewtonWarning
 FOLDER = Path(__file__).parent / "results"
 ROUNDING = 1e-10  # of a value, where its error is no more than rounding
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
+HEAD = re.compile(r"^== (.*)\n", re.MULTILINE)
 LAST_DIGITS = 0.02  # by which numbers in sentences, of two digits or more, may differ
 
 
 def path_of(name: str) -> Path:
     """Return the file of a case."""
-    return FOLDER / f"{re.sub('[^a-z0-9.]+', '-', name.lower()).strip('-')}.txt"
+    stem = CASES[name].file or name
+    return FOLDER / f"{re.sub('[^a-z0-9.]+', '-', stem.lower()).strip('-')}.txt"
+
+
+def sections(path: Path) -> dict[str, str]:
+    """Return the texts in a file by case: below their names, or under '' that of a lone case."""
+    if not path.exists():
+        return {}
+    first, *others = HEAD.split(path.read_text(encoding="utf-8"))
+    return dict(zip(others[::2], others[1::2], strict=True)) if others else {"": first}
+
+
+def recorded(name: str) -> str:
+    """Return the recorded text of a case; '' if there is none."""
+    return sections(path_of(name)).get(name if CASES[name].file else "", "")
+
+
+def write(name: str, text: str) -> None:
+    """Record the text of a case, beside others in a file that several share."""
+    path = path_of(name)
+    if CASES[name].file:
+        found = sections(path) | {name: text}
+        text = "".join(f"== {each}\n{found[each]}" for each, case in CASES.items()
+                       if case.file == CASES[name].file and each in found)  # fmt: skip
+    path.write_text(text, encoding="utf-8")
 
 
 def compute(name: str) -> Result | None:
@@ -27,7 +52,7 @@ def compute(name: str) -> Result | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TrueNewtonWarning)
         try:
-            made = CASES[name]()
+            made = CASES[name].make()
             return None if made is None else result_of(made)
         except TrueNewtonError as error:
             return Result((f"refused: {type(error).__name__}: {error.fault}; {error.remedy}",))
