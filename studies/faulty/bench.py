@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -58,6 +58,7 @@ class Bench:
 
     mirror: Mirror
     glass: ShellModel
+    _held: dict[bytes, tuple[Array, Array]] = field(default_factory=dict)
 
     @cached_property
     def arms(self) -> Array:
@@ -83,11 +84,15 @@ class Bench:
 
     def holding(self, at: Points) -> tuple[Array, Array]:
         """Return (n,) and (3,) of 1 N shared evenly by points of the glass, along +z."""
-        count, n = np.size(at[0]), self.arms.shape[1]
-        each = np.full(count, 1.0 / count)
-        external = ExternalForces(0.0, (np.atleast_1d(at[0]), np.atleast_1d(at[1])), each,
-                                  np.zeros(n))  # fmt: skip
-        return forces_under(self.glass, external), external_resultants(self.mirror, external)
+        key = np.array(at).tobytes()
+        if key not in self._held:  # the wedges of a seed are the same for many faults
+            count, n = np.size(at[0]), self.arms.shape[1]
+            each = np.full(count, 1.0 / count)
+            external = ExternalForces(0.0, (np.atleast_1d(at[0]), np.atleast_1d(at[1])), each,
+                                      np.zeros(n))  # fmt: skip
+            resultants = external_resultants(self.mirror, external)
+            self._held[key] = forces_under(self.glass, external), resultants
+        return self._held[key]
 
 
 @cache
