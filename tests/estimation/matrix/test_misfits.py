@@ -87,6 +87,21 @@ def rows_lost(k, _):
     k[[3, 9, BAD]] = 0.0
 
 
+def own_element_zero(k, _):
+    """Lose a diagonal element: the balance of its column gives it."""
+    k[BAD, BAD] = 0.0
+
+
+def identity_row(k, _):
+    """Put a row of the identity in the place of one that was not measured."""
+    k[BAD] = np.eye(len(k))[BAD]
+
+
+def copied_row(k, other):
+    """Copy the row of a neighbour."""
+    k[BAD] = k[other]
+
+
 def four_signs(k, _):
     """Exchange the poles of four neighbours."""
     k[30:34] *= -1.0
@@ -105,7 +120,10 @@ def four_signs(k, _):
         (sensor_noise, "its sensor reads something else", [BAD]),
         (rows, "its row or column exchanged with another", [BAD - 1, BAD]),
         (off, "actuator is off", [BAD]),
-        (rows_lost, "its row is zero, though it pushed", [3, 9, BAD]),
+        (rows_lost, "its row is empty or a copy, though it pushed", [3, 9, BAD]),
+        (own_element_zero, "an element of its row is wrong", [BAD]),
+        (identity_row, "its row is empty or a copy, though it pushed", [BAD]),
+        (copied_row, "its row is empty or a copy, though it pushed", [BAD]),
         (four_signs, "wrong sign", [30, 31, 32, 33]),
     ],
 )
@@ -119,6 +137,18 @@ def test_misfits_are_excluded_and_the_others_calibrated(method, change, said, wh
     named = sorted(i for effect in calibration.effects for i in effect.actuators)
     assert named == matrix.layout.id[where].tolist()
     check_errors(calibration, alpha, out)
+
+
+def test_copies_of_a_neighbour_that_hide_both_actuators_are_refused_by_name():
+    """Rows and columns are equal, so neither of the two was measured."""
+
+    def copied(k, other):
+        k[BAD] = k[other]
+        k[:, BAD] = k[:, other]
+
+    matrix, _ = measured(copied)
+    with pytest.raises(RankDeficient, match="actuators 20 and 21 .* empty or copies, but pushed"):
+        calibrate(matrix, "svd")
 
 
 def check_errors(calibration, alpha, out):

@@ -244,7 +244,7 @@ SENSOR_SIGN = "its sensor has the other sign"
 SENSOR_GAIN, SENSOR = "its sensor gain is an outlier", "its sensor reads something else"
 ROW_UNLIKE_COLUMN = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
-NO_SENSOR, NO_FORCE = "its sensor reads nothing", "its row is zero, though it pushed"
+NO_SENSOR, NO_FORCE = "its sensor reads nothing", "its row is empty or a copy, though it pushed"
 # Force at zero command after correction, relative to the couplings, if the row is unknown.
 UNKNOWN_FORCE = 0.3
 REMAINING_FORCES = {
@@ -309,7 +309,7 @@ def bad_actuators(
     add(OTHER_ORDER, ((i, 1.0) for i in moved))
     own = np.diag(k[order])
     sign = 1.0 if np.count_nonzero(own > 0.0) >= np.count_nonzero(own < 0.0) else -1.0
-    wrong = np.flatnonzero(sign * own <= 0.0)
+    wrong = np.flatnonzero(sign * own < 0.0)
     add(OTHER_SIGN, zip(wrong, own[wrong] / np.median(own), strict=True))
     factor = np.where(own < 0.0, -1.0, 1.0)
     as_measured = (factor > 0.0).all() and not moved.size
@@ -321,7 +321,7 @@ def bad_actuators(
     moved = np.flatnonzero(off.any(axis=0))
     add(ELSEWHERE, zip(moved, np.hypot(*off[1:, moved]), strict=True))
     a = a + off
-    turned = signs(even, a, wrong[own[wrong] != 0.0], linked)
+    turned = signs(even, a, wrong, linked)
     found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
     factor, k, even = factor * turned, k * turned, even * np.outer(turned, turned)
     gain = wrong_gains(even, a, linked, [i for i, _ in _unlike_their_columns(misfit)])
@@ -420,7 +420,7 @@ def _mend_elements(
     Columns near (3, h) ``holes`` and of ``mended`` actuators may be unbalanced.
     """
     out: list[tuple[int, float]] = []
-    own = np.abs(np.diag(k))
+    own = _own(k)
     rho = (a @ k) / own
     size, spacing = np.linalg.norm(rho, axis=0), typical_spacing(a)
     explained = np.zeros(len(k), dtype=bool)

@@ -70,7 +70,7 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
         is diagonal.
     """
     refuse_segments(matrix)
-    matrix = released(matrix)
+    matrix = without_copies(released(matrix))
     facts = MatrixFacts.of(matrix)
     k, a = facts.stiffness, facts.arms
     refuse_no_stiffness(k)
@@ -113,8 +113,8 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
         # The three equations of a column contain one alpha: two unknown forces use up the rest.
         if np.count_nonzero(off) > 1:
             raise RankDeficient(
-                f"{named('actuator', ids[off].tolist(), 20)} have rows or columns of zeros in"
-                " STIFFNESS, but pushed: the columns around them do not balance",
+                f"{named('actuator', ids[off].tolist(), 20)} have rows or columns in STIFFNESS that are"
+                " empty or copies, but pushed: the columns around them do not balance",
                 remedy="measure the stiffness with them switched off, or their rows and columns",
             )
         doubt[off] = UNKNOWN_FORCE
@@ -133,6 +133,32 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
             *orientation_effects(facts),
         ),
     )
+
+
+def without_copies(matrix: StiffnessMatrix) -> StiffnessMatrix:
+    """Return a matrix with zeros in the rows that contain no forces of their own.
+
+    These are zero off the diagonal, or equal to others. Of equal rows, that which is most like its
+    column is the original. If the column is no better, it becomes zero as well.
+    """
+    on, k = matrix.layout.enabled, matrix.used_stiffness
+    rows, columns = (
+        ~(each - np.diag(np.diag(each))).any(axis=1) | _copied(each) for each in (k, k.T)
+    )
+    if len(k) < MIN_JUDGED_ACTUATORS or not k[rows].any():
+        return matrix
+    stiffness = np.array(matrix.stiffness)
+    stiffness[np.ix_(on, on)] = np.where(rows[:, None] | (rows & columns), 0.0, k)
+    return replace(matrix, stiffness=stiffness)
+
+
+def _copied(k: Array) -> NDArray[np.bool_]:
+    """Return which (n,) rows of a stiffness are copies of others, both if neither is original."""
+    group = np.unique(k, axis=0, return_inverse=True)[1].ravel()
+    others = (group[:, None] == group) & ~np.eye(len(k), dtype=bool)
+    likeness = np.sum(k * k.T, axis=1) / np.maximum(np.linalg.norm(k, axis=0), 1e-300)
+    least = likeness - 1e-9 * np.abs(likeness)
+    return np.asarray((others & (least[:, None] <= likeness)).any(axis=1))
 
 
 def released(matrix: StiffnessMatrix) -> StiffnessMatrix:
