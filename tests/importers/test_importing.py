@@ -38,6 +38,7 @@ from truenewton.importers.importing import judge
 from truenewton.importers.inputs import supervisor_order
 from truenewton.importers.selection import positions_in
 from truenewton.importers.stored import read_stored
+from truenewton.rounding import listed
 from truenewton.statics.layout import ring_of
 
 CASE = measured()
@@ -683,3 +684,35 @@ def test_the_radius_of_a_convex_mirror_is_negative(tmp_path, inside):
     assert inside(*command, "--curvature", "-1.955")[0] == 0
     with pytest.raises(FormatError, match="radius is nan m; give R in m"):
         tn.stiffness_from(CASE.k, XY, curvature=np.nan)
+
+
+def test_it_is_said_how_rows_are_numbered(tmp_path, inside):
+    """Channels that are off, of electronics that count from 0."""
+    dead, k = np.flatnonzero(CASE.off), CASE.k
+    scipy.io.savemat(tmp_path / "plain.mat", {"K": k})
+    scipy.io.savemat(tmp_path / "named.mat", {"K": k, "chan": np.arange(N)[:, None]})
+    np.savetxt(tmp_path / "xy.txt", XY.T)
+    first = "import", tmp_path / "plain.mat", tmp_path / "xy.txt"
+    for command, how, names in (
+        (first, "rows from 1, as there is no ID; if they count from 0, --ids 0-44", dead + 1),
+        ((*first, "--ids", "0-44"), "IDs as specified", dead),
+        ((*first, "--ids", "0-20,21,22-44"), "IDs as specified", dead),
+        (("import", tmp_path / "named.mat", tmp_path / "xy.txt"), "IDs: 'chan' of this f", dead),
+        ((*first[:2], positions_file(tmp_path, "csv")), "IDs of the positions", dead + 1),
+    ):
+        out = inside(*command)[1]
+        assert f"numbering    {how}" in out
+        assert f"disabled, because row and column are zero: {listed(names)}\n" in out
+    assert "there are 57 IDs for 45 rows" in inside(*first, "--ids", "0-56")[2]
+    assert "there are 2 IDs for 45 rows" in inside(*first, "--ids", "3-1,3-2")[2]
+
+
+def test_a_matrix_transposed_by_mistake_gets_one_advice(tmp_path, inside):
+    np.save(tmp_path / "k.npy", CASE.k)
+    command = "import", tmp_path / "k.npy", positions_file(tmp_path, "csv")
+    out = inside(*command, "--transpose")[1]
+    assert "LOOKS TRANSPOSED" in out
+    assert "add --transpose" not in out
+    assert "omit --transpose" in out
+    np.save(tmp_path / "k.npy", CASE.k.T)
+    assert "correct as transposed (rigid-body" in inside(*command, "--transpose")[1]

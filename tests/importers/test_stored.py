@@ -96,3 +96,13 @@ def test_arrays_in_structs_of_matlab_are_found(tmp_path):
         file["sys/ff_matrix"].attrs["MATLAB_class"] = np.bytes_("double")
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(128) + path.read_bytes()[128:])
     np.testing.assert_array_equal(matrix_in(read_stored(path), "sys.ff_matrix")[0].values, k)
+
+
+def test_a_fault_in_excel_has_the_number_of_its_row(tmp_path):
+    book = openpyxl.Workbook()
+    names = [f"a\nmm{k}" for k in range(20)]
+    for row in [["made\nby me"], [], [], names, [], *[[1.0] * 20] * 3, [1.0, "oops", *[1.0] * 18]]:
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    with pytest.raises(FormatError, match="line 9, column 2 is 'oops'"):
+        read_stored(tmp_path / "a.xlsx")

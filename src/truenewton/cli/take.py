@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import re
 import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -232,7 +234,7 @@ def run_import(
     mirror: str | None = typer.Option(
         None, help="Use the positions of this mirror (name or TOML file)."
     ),
-    ids: str | None = typer.Option(None, help="IDs of the rows: 17,18,... or a file of IDs."),
+    ids: str | None = typer.Option(None, help="IDs of the rows: 17,18 or 0-56, or a file of IDs."),
     dataset: str | None = typer.Option(None, help="Name of the matrix, if there are several."),
     shell: int | None = typer.Option(None, help="Number of the shell (from 1), if several."),
     transpose: bool = typer.Option(False, "--transpose", help="The matrix is stored transposed."),
@@ -274,12 +276,22 @@ def run_import(
     with busy("importing"), _suggesting_mirror():
         of_matrix |= {
             "mirror": None if mirror is None else mirror_from(mirror),
-            "ids": ids if ids is None or by_file else options.ids(ids, "--ids"),
+            "ids": ids if ids is None or by_file else _row_ids(ids),
         }
         made = stiffness_from(matrix, coordinates, **of_matrix)
         if output is not None:
             write_stiffness(made.matrix, output, overwrite=overwrite)
     _print_matrix(made, output, transpose=transpose, json=json, quiet=quiet)
+
+
+def _row_ids(text: str) -> list[int | str]:
+    """Return the IDs of a list, in which 0-56 stands for integers if numbers ascend."""
+    words = options.ids(text, "--ids")
+    ranges = [re.fullmatch(r"(\d+)(?:-(\d+))?", str(word)) for word in words]
+    ends = [int(end) for each in ranges if each for end in each.groups() if end]
+    if not all(ranges) or any(one >= other for one, other in pairwise(ends)):
+        return words  # texts, such as 3-1
+    return [i for each in ranges if each for i in range(int(each[1]), int(each[2] or each[1]) + 1)]
 
 
 @contextlib.contextmanager

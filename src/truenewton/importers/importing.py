@@ -135,7 +135,7 @@ def stiffness_from(
         when, how = date_of(given, date)
     name = instrument or given.name
     known = given.mirror.name if given.mirror else None
-    check = partial(_checked, k, name=name, when=when, mirror=known)
+    check = partial(_checked, k, name=name, when=when, mirror=known, transposed=transpose)
     record, judged, positions, noted = _numbered(_first_that_fits(given, ways, check), given, ids)
     of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []
@@ -151,18 +151,26 @@ def stiffness_from(
     ]
     said = [f"{name}: {record.layout.n} actuators, from {given.path or 'arrays'}{given.kind}"]
     said += [f"  {what:<13}{how}" for what, how in lines]
-    folder = given.path if given.channels is not None else ""
+    folder = given.path if given.channels is not None and given.kind else ""
     return Imported(record, tuple(said), judged.transposed, judged.balanced, folder)
 
 
 def _numbered(found: Checked, given: Given, ids: object) -> Checked:
-    """Add the numbers on the mirror to a matrix whose IDs are channels, if they are known."""
+    """Add how rows are numbered, and the numbers on the mirror if IDs are channels of a table."""
     record, judged, positions, noted = found
-    if given.numbers is None or given.channels is None or ids is not None:
-        return found
-    number = numbers_of(record.layout.id, given.numbers)
-    record = replace(record, layout=replace(record.layout, number=number))
-    how = "ID: channel; NUMBER: on the mirror, by act2mir_act.txt"
+    n = given.item.values[..., 0].size
+    if ids is not None:
+        how = "IDs as specified"
+    elif given.channels is not None and given.numbers is not None:
+        number = numbers_of(record.layout.id, given.numbers)
+        record = replace(record, layout=replace(record.layout, number=number))
+        how = "ID: channel; NUMBER: on the mirror, by act2mir_act.txt"
+    elif given.channels is not None:
+        how = f"IDs: {given.numbering}"
+    elif positions.ids is not None:
+        how = "IDs of the positions"
+    else:
+        how = f"rows from 1, as there is no ID; if they count from 0, --ids 0-{n - 1} (ids=)"
     return record, judged, positions, [*noted, ("numbering", how)]
 
 
@@ -172,6 +180,8 @@ def _checked(
     name: str,
     when: datetime.datetime,
     mirror: str | None,
+    *,
+    transposed: bool,
 ) -> Checked:
     """Return an (n, n) matrix [N/m] with its positions, checked; lines on what was left out."""
     noted: list[tuple[str, str]] = []
@@ -189,7 +199,8 @@ def _checked(
         positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
     )
     record = StiffnessMatrix(name, when, of, k, mirror=mirror or None)
-    judged = judge(record, MIN_ORDER_SHARE if mirror is None else MIN_EXPLAINED_COUPLING)
+    share = MIN_ORDER_SHARE if mirror is None else MIN_EXPLAINED_COUPLING
+    judged = judge(record, share, transposed=transposed)
     record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))
     return record, judged, positions, noted
 
@@ -423,8 +434,10 @@ def turned_sign(k: Array) -> tuple[Array, str]:
     )
 
 
-def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged:
-    """Check orientation, order and single actuators of a matrix.
+def judge(
+    matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE, *, transposed: bool = False
+) -> Judged:
+    """Check orientation, order and single actuators of a matrix, which may be transposed already.
 
     Positions are refused if distance explains less than ``min_share`` of the couplings.
     """
@@ -434,7 +447,7 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
     k = matrix.used_stiffness[np.ix_(measured, measured)]
     facts = MatrixFacts(k, comparable_arms(matrix.layout)[:, measured])
     balanced = tuple(balance_effects(MatrixFacts.of(matrix)))
-    lines = [("orientation", _orientation(facts))]
+    lines = [("orientation", _orientation(facts, transposed=transposed))]
     lines += [("balance", f"{each.name}; {each.remedy}") for each in balanced]
     share = share_by_distance(k, facts.arms)
     if share < min_share and len(k) >= 20:
@@ -468,12 +481,13 @@ def judge(matrix: StiffnessMatrix, min_share: float = MIN_ORDER_SHARE) -> Judged
     return Judged(tuple(lines), off, facts.looks_transposed, bool(balanced))
 
 
-def _orientation(facts: MatrixFacts) -> str:
+def _orientation(facts: MatrixFacts, *, transposed: bool) -> str:
     figures = f"rigid-body residual {percent(facts.rigid_cost)}, column imbalance"
     figures += f" {percent(facts.imbalance)} of the diagonal"
     if facts.looks_transposed:
+        advice = "omit" if transposed else "if it is not, add"
         return (
             f"LOOKS TRANSPOSED: {figures}; element [i, j] must be the force of actuator i per"
-            " displacement of sensor j; if it is not, add --transpose"
+            f" displacement of sensor j; {advice} --transpose"
         )
-    return f"not transposed ({figures})"
+    return f"{'correct as transposed' if transposed else 'not transposed'} ({figures})"

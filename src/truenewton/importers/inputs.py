@@ -30,6 +30,7 @@ from truenewton.importers.selection import (
 )
 from truenewton.importers.stored import Item, Stored, plain, read_stored, text_of
 from truenewton.records.file import FOREIGN_MATRIX
+from truenewton.records.tables import ID_NAMES, without_group
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout, ring_of
 
@@ -80,6 +81,8 @@ class Given:
         In metres, or None; their file, or ''.
     channels
         (n,) IDs of the rows, or None.
+    numbering
+        Where these are from.
     by_ring
         Positions if their file is in the supervisor's order of rings, or None.
     mirror
@@ -98,6 +101,7 @@ class Given:
     positions: Positions | None = None
     where: str = ""
     channels: NDArray[np.int64] | None = None
+    numbering: str = f"channels in {CHANNELS}"
     by_ring: Positions | None = None
     mirror: Rings | None = None
     found: tuple[str, ...] = ()
@@ -134,7 +138,19 @@ def read_given(
     elif found is None:
         found, where = positions_in(stored), stored.path
     positions = _in_metres(found, where, surface)
-    return Given(item, which, stored, "", stored.path, positions, where, mirror=used)
+    ids, named = _ids_in(stored, item.values[..., 0].size)
+    return Given(item, which, stored, "", stored.path, positions, where, ids, named, mirror=used)
+
+
+def _ids_in(stored: Stored, n: int) -> tuple[NDArray[np.int64] | None, str]:
+    """Return n distinct integers beside the matrix that are named as IDs, and a text; or None."""
+    for name, item in stored.every.items() if "" not in stored.arrays else ():
+        values = np.squeeze(item.values)
+        if without_group(name.casefold()) in ID_NAMES and values.shape == (n,):
+            whole = values.dtype.kind == "f" and np.array_equal(values, np.round(values))
+            if whole and np.unique(values).size == n:
+                return values.astype(np.int64), f"'{name}' of this file"
+    return None, ""
 
 
 def _in_folder(
@@ -175,8 +191,8 @@ def _in_folder(
     if positions is not None and how:
         positions = replace(positions, notes=(how, *positions.notes))
     return Given(
-        item, which, stored, f", {kind}", os.fspath(path), positions, where, channels, by_ring,
-        used, files, numbers,
+        item, which, stored, f", {kind}", os.fspath(path), positions, where, channels,
+        by_ring=by_ring, mirror=used, found=files, numbers=numbers,
     )  # fmt: skip
 
 

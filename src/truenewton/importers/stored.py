@@ -146,9 +146,10 @@ def _zipped(path: str) -> Stored:
         remedy = "pip install 'truenewton[excel]', or save it as CSV"
         raise UnreadableFile("is an Excel workbook, which needs openpyxl", remedy=remedy) from None
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    rows = (["" if cell is None else str(cell) for cell in row] for row in
+    # Each row is a line, so that their numbers agree.
+    rows = (["" if cell is None else " ".join(str(cell).split()) for cell in row] for row in
             book.worksheets[0].iter_rows(values_only=True))  # fmt: skip
-    values, columns = table_in("\n".join("\t".join(row) for row in rows if any(row)))
+    values, columns = table_in("\n".join("\t".join(row) for row in rows))
     return _as_stored(path, values, columns)
 
 

@@ -24,7 +24,7 @@ OF_CYCLE = (*ARRAYS, "date", "number")
 OF_TABLE = ("load", "cycle", "actuator", "row", *ARRAYS)
 MATRICES = ("force", "position")  # with a value for each actuator
 ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
-            "channel", "ch", "name", "label")  # fmt: skip
+            "channel", "channels", "chan", "ch", "name", "label")  # fmt: skip
 LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
 UNIT = re.compile(
     rf"(.+?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b((?i:{LENGTHS})|[kmun]?N|m?s|K|deg_C)[\])]?"
