@@ -716,3 +716,9 @@ def test_a_matrix_transposed_by_mistake_gets_one_advice(tmp_path, inside):
     assert "omit --transpose" in out
     np.save(tmp_path / "k.npy", CASE.k.T)
     assert "correct as transposed (rigid-body" in inside(*command, "--transpose")[1]
+
+
+def test_a_date_that_no_file_contains_is_called_assumed(tmp_path):
+    np.save(tmp_path / "k.npy", CASE.k)
+    assert "(assumed, that of the file; --date" in text(tn.stiffness_from(tmp_path / "k.npy", XY))
+    assert "(assumed, now; to set it, use --date" in text(tn.stiffness_from(CASE.k, XY))

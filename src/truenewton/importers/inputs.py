@@ -448,9 +448,9 @@ def date_of(given: Given, told: datetime.datetime | None) -> tuple[datetime.date
             continue
         return when.replace(tzinfo=when.tzinfo or datetime.UTC).astimezone(datetime.UTC), key
     if given.path:
-        return written_date(given.path), "of the file; --date overrides it"
+        return written_date(given.path), "assumed, that of the file; --date overrides it"
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-    return now, "now; to set it, use --date (date=)"
+    return now, "assumed, now; to set it, use --date (date=)"
 
 
 def written_date(path: str | os.PathLike[str]) -> datetime.datetime:
