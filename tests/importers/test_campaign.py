@@ -286,3 +286,12 @@ def test_times_that_no_clock_gave_are_called_assumed(tmp_path, inside):
 
 def test_a_row_column_of_a_long_table_is_in_the_example():
     assert '# row = "row"' in example()
+
+
+def test_a_file_of_one_row_is_read(tmp_path, inside):
+    path = written(tmp_path, "csv", {})
+    lines = (tmp_path / "bare-1.csv").read_text().splitlines()
+    (tmp_path / "bare-1.csv").write_text("\n".join(lines[:2]))
+    code, out, _ = inside("import", path)
+    assert code == 0
+    assert "bare 1   1 rows, forces up to" in out

@@ -311,7 +311,8 @@ def _column_in(stored: Stored, wanted: str | int) -> Item:
             f" the file has {listed(filter(None, stored.every), 12)}",
         )
     name, unit = known
-    return Item(np.squeeze(stored.every[name].values), stored.every[name].unit or unit)
+    values = np.atleast_1d(np.squeeze(stored.every[name].values))  # there may be one row
+    return Item(values, stored.every[name].unit or unit)
 
 
 def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout, by_line: bool) -> Item:
