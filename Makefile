@@ -6,7 +6,7 @@ WORKERS = -m pytest -n logical --dist loadscope
 PYTEST = .venv-test/bin/python $(WORKERS)
 PIP_INSTALL = python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs test test-all reference golden test-floors test-newest test-opticalib browser lint types contracts house sizes format clean
+.PHONY: demo docs test test-all reference golden thresholds test-floors test-newest test-opticalib browser lint types contracts house sizes format clean
 
 demo: .venv-demo/ready
 	.venv-demo/bin/truenewton demo --overwrite
@@ -25,6 +25,10 @@ reference: .venv-test/ready
 # Which outputs of 30 commands differ from the recorded ones; `make golden RECORD=1` records them.
 golden: .venv-test/ready
 	PYTHONPATH=.:tests OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 .venv-test/bin/python -m reference.golden $(if $(RECORD),--record)
+
+# Multiplies each constant that decides about data by three: a test of its package must fail (long).
+thresholds: .venv-test/ready
+	PYTHONPATH=src:.:tests .venv-test/bin/python -m helpers.thresholds $(CASES)
 
 # With the floors of pyproject.toml. Old packages may use what the newest below them deprecate.
 test-floors: .venv-floors/ready

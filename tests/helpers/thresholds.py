@@ -1,0 +1,141 @@
+"""Multiply each constant that decides about data by three; a test of its package must fail.
+
+    python -m helpers.thresholds [--package] [WORD...]     (make thresholds CASES="WORD ...")
+
+Runs tests/<package>/test_thresholds.py with each constant whose path or name contains a word (all
+without words), in a copy of the source. --package: if that passes, also all other tests of the
+package. Prints constants that survive; exit code 1 if there are any.
+"""
+
+import argparse
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from truenewton.errors import TrueNewtonError
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "truenewton"
+FILE = "test_thresholds.py"
+PACKAGES = ("modal", "comparison", "tracking", "recalibration", "planning", "calibration",
+            "estimation")  # fmt: skip
+# Drawing and tables; files whose mechanism goes or is about to be built anew.
+NO_DECISIONS = ("figures.py", "summary.py", "workers.py", "recalibration/reference.py",
+                "estimation/effects/", "estimation/campaign_ml.py")  # fmt: skip
+# Steps, sizes of blocks, rounding, physics: of the computation, not of the data.
+COMPUTATION = re.compile(
+    r"(?:MAX_|SCALE_|LAW_)?(?:STEPS|PASSES|ITERATIONS|NAMING_PASSES|PREDICTION_STEPS|DRAWS)|BLOCKS?"
+    r"|ROUNDING|GRAVITY|POUND|WAVELENGTH|ARCSECOND|FRIED|SPECTRUM|ORDER|SERIES_\w+|\w+_AT_ONCE"
+    r"|MIN_BLOCK|MAX_EXACT_ORDER|MAX_ORDERS|MIN_LIMIT|BY_TURBULENCE|HELD_INFORMATION|MAX_STEP"
+    r"|STEP_TOLERANCE|SETTLED_STEP|MIN_RELATIVE_SIZE|MAX_LEVERAGE|MIX_\w+|UNCONSTRAINED|FACTORS"
+    r"|SPREAD_GRID|DISTANCE_BINS|TYPICAL_STIFFNESS|MAX_NUMBER|LARGEST_ALPHA|MIN_START_ALPHA"
+)
+
+
+def outcome(call: Callable[[], object]) -> str:
+    """Return whether a call is refused."""
+    try:
+        call()
+    except TrueNewtonError:
+        return "refused"
+    return "accepted"
+
+
+def below_and_above(cases: list[tuple[Any, ...]]) -> pytest.MarkDecorator:
+    """Parametrize a test by (constant, function, below, result there, above, result there)."""
+    names = ("function", "below", "at_below", "above", "at_above")
+    return pytest.mark.parametrize(names, [case[1:] for case in cases], ids=[c[0] for c in cases])
+
+
+def assigned(tree: ast.Module) -> Iterator[tuple[str, ast.expr]]:
+    """Yield name and value of each number that a module or its class Thresholds assigns."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign):
+            sides = [side.elts if isinstance(side, ast.Tuple) else [side]
+                     for side in (node.targets[0], node.value)]  # fmt: skip
+            for target, value in zip(*sides, strict=False):
+                name, text = ast.unparse(target), re.sub(r"np\.log|[\s(]", "", ast.unparse(value))
+                if name.isupper() and re.match(r"[-+]?\d", text) and "arange" not in text:
+                    yield name, value
+        elif isinstance(node, ast.ClassDef) and node.name == "Thresholds":
+            for field in node.body:
+                if isinstance(field, ast.AnnAssign) and isinstance(field.value, ast.Call):
+                    yield ast.unparse(field.target), field.value.args[0]
+
+
+def constants(words: list[str]) -> list[tuple[Path, str, ast.expr]]:
+    """Return path, name and value of each constant that decides about data."""
+    found = []
+    for path in (path for package in PACKAGES for path in (SOURCE / package).rglob("*.py")):
+        own = str(path.relative_to(SOURCE))
+        if any(part in own for part in NO_DECISIONS):
+            continue
+        for name, value in assigned(ast.parse(path.read_text(encoding="utf-8"))):
+            chosen = not words or any(word in f"{own} {name}" for word in words)
+            if chosen and not COMPUTATION.fullmatch(name):
+                found.append((path, name, value))
+    return sorted(
+        found, key=lambda one: (PACKAGES.index(one[0].relative_to(SOURCE).parts[0]), one[0])
+    )
+
+
+def passes(source: Path, paths: list[Path], name: str = "") -> bool:
+    """Return whether tests whose name contains one pass with the package below ``source``."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider",
+               "-m", "not study", "-k", name, *map(str, paths)]  # fmt: skip
+    places = (source, ROOT, ROOT / "tests")
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(map(str, places)), "PYTHONDONTWRITEBYTECODE": "1",
+        "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
+    }  # fmt: skip
+    run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, check=False)
+    return run.returncode == 0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--package", action="store_true")
+    parser.add_argument("words", nargs="*")
+    options = parser.parse_args()
+    survivors, chosen = [], constants(options.words)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "truenewton"
+        shutil.copytree(SOURCE, copy)
+        written = [path for one in PACKAGES if (path := ROOT / "tests" / one / FILE).exists()]
+        if not passes(Path(folder), written):
+            parser.error(f"a {FILE} fails without any change")
+        for path, name, value in chosen:
+            own = path.relative_to(SOURCE)
+            # The thresholds of the verdict are used in both.
+            packages = ("calibration", "estimation") if name.islower() else own.parts[:1]
+            folders = [ROOT / "tests" / package for package in packages]
+            text = path.read_text(encoding="utf-8")
+            lines = text.splitlines(keepends=True)
+            start = sum(map(len, lines[: value.lineno - 1])) + value.col_offset
+            end = sum(map(len, lines[: value.end_lineno - 1])) + value.end_col_offset
+            changed = f"{text[:start]}3 * ({text[start:end]}){text[end:]}"
+            (copy / own).write_text(changed, encoding="utf-8")
+            survives = True
+            files = [path / FILE for path in folders if (path / FILE).exists()]
+            if any(f'"{name}' in path.read_text(encoding="utf-8") for path in files):
+                survives = passes(Path(folder), files, name)
+            if survives and options.package:
+                survives = passes(Path(folder), folders)
+            (copy / own).write_text(text, encoding="utf-8")
+            survivors += [name] if survives else []
+            print(f"{own} {name}: {'SURVIVES' if survives else 'fails a test'}", flush=True)
+    print(f"{len(chosen) - len(survivors)} of {len(chosen)} constants are pinned")
+    sys.exit(1 if survivors else 0)
+
+
+if __name__ == "__main__":
+    main()
