@@ -1,0 +1,148 @@
+"""Each constant that decides about rows and files: a case just below, and a case just above."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import scipy.stats
+
+from helpers.thresholds import below_and_above, outcome
+from truenewton.chance import OF_EACH_KIND
+from truenewton.estimation.findings.code import Code
+from truenewton.estimation.screening.hypotheses import (
+    _differences,
+    _mislabelled,
+    _other_labels,
+    clusters,
+    copied_files,
+    unlike_files,
+)
+from truenewton.estimation.screening.screen import (
+    _leave_out_worst,
+    _stand_still,
+    refuse_too_many,
+)
+from truenewton.statics.arms import enabled_arms
+from truenewton.statics.layout import rings
+
+LAYOUT = rings([0.03, 0.07], [4, 8])
+
+
+def campaign(*loads, weights=()):
+    """Return files of loads, by their indices."""
+    return SimpleNamespace(
+        cycles=[SimpleNamespace(name=f"file {k}") for k in range(len(loads))],
+        load_index=loads, effective_weights=np.array(weights), layout=LAYOUT,
+        loads=[SimpleNamespace(name=f"load {k}") for k in range(len(weights))],
+    )  # fmt: skip
+
+
+def codes(findings):
+    return [finding.code for finding in findings]
+
+
+def form_clusters(within):
+    """Two files at a distance, a third at 1 from both."""
+    distance = np.array([[0.0, within, 1.0], [within, 0.0, 1.0], [1.0, 1.0, 0.0]])
+    return clusters(distance, 2) is not None
+
+
+def unlike(difference, labels=20):
+    """Of three files one differs by a fraction, orthogonal to the others in each column."""
+    rows, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((labels, 7)))
+    rows, _ = np.linalg.qr(rows - rows.mean(axis=0))
+    one, across = rows[:, :3], rows[:, 3:6]
+    prints = SimpleNamespace(common_rows=np.stack([one, one, one + difference * across]))
+    return len(unlike_files(campaign(0, 0, 0), prints))
+
+
+def unit_of(times):
+    typical = np.random.default_rng(1).standard_normal((20, 5))
+    return [each.code for each in _differences(times * typical, typical)]
+
+
+def label_finding(reversed_rows, other_rows=0):
+    """Of 20 rows some fit the label of the other sign, some the next shape."""
+    others = np.random.default_rng(2).standard_normal((10, 40))
+    others = np.concatenate([others, -others])
+    labels = np.concatenate([np.arange(1, 11), -np.arange(1, 11)])
+    said = labels.copy()
+    said[:reversed_rows] *= -1
+    moved = slice(reversed_rows, reversed_rows + other_rows)
+    said[moved] = np.sign(said[moved]) * (np.abs(said[moved]) % 10 + 1)
+    return _other_labels(others, said, others, labels)
+
+
+def load_finding(alpha):
+    """The second file is at rest as the last two; the loads differ by 1 N, forces by 1 / alpha."""
+    sums = np.array([0.0, 1.0, 1.0, 1.0]) / alpha
+    nz = enabled_arms(LAYOUT)[0]
+    rest = sums[:, None] * nz / (nz @ nz)
+    distance = np.abs(sums[:, None] - sums)
+    files = campaign(0, 0, 1, 1, weights=(-2.0, -3.0))
+    return codes(_mislabelled(files, rest, distance, np.array([0, 1, 1, 1])))
+
+
+def load_of_two_names(ratio):
+    distance = np.array([[0.0, ratio, ratio], [ratio, 0.0, 1.0], [ratio, 1.0, 0.0]])
+    files = campaign(0, 1, 1, weights=(-3.0, -3.0))
+    return codes(_mislabelled(files, np.zeros((3, 12)), distance, np.ones(3, dtype=int)))
+
+
+def copied(*alike, in_steps=False):
+    """Of 100 rows, the first file shares some with the second; both share some with a third."""
+    files = len(alike) + 1
+    taken = {(file, code): bytes([file, code]) for file in range(files) for code in range(100)}
+    taken |= {(1, code): bytes([0, code]) for code in range(alike[0])}
+    for code in range(90, 90 + sum(alike[1:])):
+        taken |= {(file, code): b"same" for file in range(files)}
+    prints = SimpleNamespace(taken=taken)
+    return len(copied_files(campaign(*[0] * files), prints, in_steps=in_steps))
+
+
+def frozen(longest, rows):
+    prints = SimpleNamespace(
+        longest=[np.array([longest, 0])], rows=[rows], limit=[np.array([1.0, 2.0])],
+        at_limit=[np.zeros(2, dtype=int)],
+    )  # fmt: skip
+    return bool(_stand_still(prints, 0)[0])
+
+
+def left_out_of_a_tail(times):
+    """A row at a multiple of the usual limit, if outliers are a tail."""
+    moments = SimpleNamespace(
+        repeats=10**9, rows=np.array([1000]), scatter=np.array([1e9]), rounding=np.zeros(1),
+        mean=np.ones((1, 1)),
+    )  # fmt: skip
+    usual = scipy.stats.norm.isf(OF_EACH_KIND / 2 / 1000)
+    sums = SimpleNamespace(
+        moments=moments, samples=[scipy.stats.norm.ppf(np.linspace(0.01, 0.99, 99))[:, None]],
+        furthest=np.array([[times * usual]]), leave_out_worst=lambda some, *_: some,
+    )  # fmt: skip
+    return len(_leave_out_worst(sums, accidents=False))
+
+
+SIGN, OTHER = Code.SIGN_REVERSED, Code.OTHER_LABELS
+CASES = [
+    ("MAX_SAME_DISTANCE", form_clusters, 0.29, True, 0.31, False),
+    ("MIN_GROUP_DIFFERENCE", unlike, 0.019, 0, 0.021, 1),
+    ("MIN_SHARED_LABELS", lambda k: unlike(0.5, k), 7, 0, 8, 1),
+    ("MIN_UNIT_FACTOR", unit_of, 1.9, [], 2.1, [Code.OTHER_UNIT]),
+    ("MIN_RELABELLED_FRACTION", label_finding, 5, None, 6, SIGN),
+    ("MIN_SAME_SHIFT_FRACTION", lambda k: label_finding(k, 10 - k), 8, OTHER, 9, SIGN),
+    ("MAX_PLAUSIBLE_ALPHA", load_finding, 4.9, [Code.OTHER_LOAD], 5.1, []),
+    ("INDISTINCT_RATIO", load_of_two_names, 1.4, [Code.LOAD_OF_TWO_NAMES], 1.6, []),
+    ("MIN_IDENTICAL_FRACTION", copied, 19, 0, 20, 1),
+    ("MIN_IDENTICAL_FRACTION_OF_STEPS", lambda k: copied(k, in_steps=True), 89, 0, 90, 1),
+    ("MIN_RATIO_TO_OTHER_FILES", lambda k: copied(k, 10), 30, 0, 31, 1),
+    ("MAX_REJECTED_FRACTION", lambda k: outcome(lambda: refuse_too_many(k, 100)),
+     30, "accepted", 31, "refused"),
+    ("MIN_FROZEN_ROWS", lambda k: frozen(k, 10), 2, False, 3, True),
+    ("MIN_FROZEN_FRACTION", lambda k: frozen(k, 100), 9, False, 10, True),
+    ("FAR_OUT_FACTOR", left_out_of_a_tail, 2.9, 0, 3.1, 1),
+]  # fmt: skip
+
+
+@below_and_above(CASES)
+def test_a_threshold_is_between(function, below, at_below, above, at_above):
+    assert function(below) == at_below
+    assert function(above) == at_above
