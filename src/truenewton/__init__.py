@@ -50,8 +50,8 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.estimation.findings.code import Level as Level
     from truenewton.estimation.findings.finding import Finding as Finding
     from truenewton.estimation.findings.finding import Verdict as Verdict
+    from truenewton.importers.export import export_matrix as export_matrix
     from truenewton.importers.importing import stiffness_from as stiffness_from
-    from truenewton.importers.supervisor import export_supervisor as export_supervisor
     from truenewton.mirrors.sensor_model import sensor_model as sensor_model
     from truenewton.modal.bases import karhunen_loeve_modes as karhunen_loeve_modes
     from truenewton.modal.bases import zernike_modes as zernike_modes
@@ -118,7 +118,7 @@ _NAMES = {
     "comparison.result": ["Comparison", "read_comparison"],
     "estimation.findings.code": ["Code", "Level"],
     "estimation.findings.finding": ["Finding", "Verdict"],
-    "importers.supervisor": ["export_supervisor"],
+    "importers.export": ["export_matrix"],
     "importers.importing": ["stiffness_from"],
     "mirrors.sensor_model": ["sensor_model"],
     "modal.bases": ["karhunen_loeve_modes", "zernike_modes"],

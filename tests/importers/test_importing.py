@@ -600,8 +600,8 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     layout = replace(calibration.layout, enabled=known)
     calibration = replace(calibration, layout=layout, alpha=CASE.alpha[rows])
     with pytest.raises(NotToBeUsed, match=r"doubtful: .*--anyway"):
-        tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")
-    export = partial(tn.export_supervisor, tmp_path / "meas", accept_rejected=True)
+        tn.export_matrix(tmp_path / "meas", calibration, tmp_path / "new")
+    export = partial(tn.export_matrix, tmp_path / "meas", accept_rejected=True)
     told = export(calibration, tmp_path / "20261122_101500")
     new = {name: fits.getdata(tmp_path / "20261122_101500" / f"{name}.fits")
            for name in ("ff_matrix", "ff_list", "ff_f_svec", "ff_p_svec", "ff_sval")}  # fmt: skip
@@ -633,7 +633,7 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
         export(calibration, tmp_path / TRACK)
     again = tmp_path / "again"
     with pytest.raises(FormatError, match="multiplied by alpha already"):
-        tn.export_supervisor(tmp_path / "new", calibration, again, accept_rejected=True)
+        tn.export_matrix(tmp_path / "new", calibration, again, accept_rejected=True)
     other = replace(calibration.layout, id=calibration.layout.id + 1000)
     wrong = replace(calibration, layout=other)
     with pytest.raises(CampaignMismatch, match=r"no actuator .*, which is a channel"):

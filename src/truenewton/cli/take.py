@@ -322,10 +322,10 @@ def _print_matrix(
     elif not made.balanced and output is not None:
         then = _calibrating(output)
         lines.append(f"  {'alpha':<13}not estimated: use `truenewton calibrate`")
-        if made.folder:
-            alpha = shlex.join([str(_alpha_of(output)), "-o", "NEW-FOLDER"])
-            export = f"truenewton export {shlex.quote(made.folder)} --calibration {alpha}"
-            lines.append(f"  {'afterwards':<13}{export}")
+        new = "NEW-FOLDER" if made.folder else "NEW.fits"
+        alpha = shlex.join([str(_alpha_of(output)), "-o", new])
+        source = shlex.quote(made.folder or str(output))
+        lines.append(f"  {'afterwards':<13}truenewton export {source} --calibration {alpha}")
     values = {
         "instrument": made.matrix.instrument,
         "actuators": made.matrix.layout.n,

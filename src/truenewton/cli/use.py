@@ -33,6 +33,11 @@ RADIUS = typer.Option(
 EFFICIENCY = typer.Option(
     None, help="Commanded force per root of power [N/W^1/2]; without it, no power is printed."
 )
+ALSO_WRITTEN = (
+    "  also written, next to the modal basis: stiffness (true, commanded); for electronics, per"
+    " sensor reading, in sign, unit and order of an imported file: modes (ff_v_matrix),"
+    " feed-forward (ff_matrix, ff_matrix_true)"
+)
 
 
 def run_report(
@@ -183,8 +188,7 @@ def run_modes(
                 written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
     shown = list(lines(found, limits))
     if output is not None and not quiet:
-        shown.append("  also written, next to the modal basis: stiffness (true, commanded), modes"
-                     " (ff_v_matrix), feed-forward (ff_matrix, ff_matrix_true)")  # fmt: skip
+        shown.append(ALSO_WRITTEN)
     files: Iterable[Path | None] = written or (None,)
     if written and not quiet and (output is None or output in written):  # not of segments
         files = filter(None, (output, figures))
@@ -215,11 +219,15 @@ def _atmosphere(
 
 
 def run_export(
-    folder: Path = typer.Argument(
-        ..., metavar="FOLDER", help="Supervisor's folder with ff_matrix.fits and ff_list.fits."
+    source: Path = typer.Argument(
+        ...,
+        metavar="SOURCE",
+        help="Stiffness file that `import` wrote, or the folder of a supervisor or of opticalib.",
     ),
-    calibration: Path = typer.Option(..., help="Calibration file; its IDs are the channels."),
-    output: Path = options.output("Folder for the five files and README.txt.", ...),
+    calibration: Path = typer.Option(..., help="Calibration file of the same actuators."),
+    output: Path = options.output(
+        "Matrix to write (.npy, .fits, .csv, .mat); of a folder also a folder.", ...
+    ),
     segment: int | None = options.SEGMENT,
     anyway: bool = typer.Option(
         False, "--anyway", help="Continue even if the verdict is 'doubtful' or 'rejected'."
@@ -227,12 +235,12 @@ def run_export(
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Convert a supervisor's feed-forward files to true Newtons."""
-    from truenewton.importers.supervisor import export_supervisor
+    """Convert an imported matrix to true Newtons, as its file stored it."""
+    from truenewton.importers.export import export_matrix
     from truenewton.reading import read_calibration
 
     refuse_existing(output, overwrite=overwrite)
     with busy("exporting"):
         one = read_calibration(calibration, segment=segment)
-        lines = export_supervisor(folder, one, output, overwrite=overwrite, accept_rejected=anyway)
+        lines = export_matrix(source, one, output, overwrite=overwrite, accept_rejected=anyway)
     print_result(lines, output, quiet=quiet)

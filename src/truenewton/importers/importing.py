@@ -37,7 +37,7 @@ from truenewton.importers.inputs import (
 from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_newton_per_metre
 from truenewton.importers.stored import read_stored
 from truenewton.quantities import taking_units
-from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.records.stiffness_matrix import StiffnessMatrix, StoredAs
 from truenewton.records.tables import numbers_of_labels
 from truenewton.rounding import listed, named, percent
 from truenewton.statics.arms import comparable_arms
@@ -60,7 +60,7 @@ class Imported:
     transposed, balanced
         It looks transposed; commanded forces balance, so that alpha cannot be determined.
     folder
-        The supervisor's folder, which `export_supervisor` takes; '' of other files.
+        The supervisor's folder, which `export_matrix` takes; '' of other files.
     """
 
     matrix: StiffnessMatrix
@@ -129,13 +129,16 @@ def stiffness_from(
     given = read_given(matrix, coordinates, rings, dataset, Surface(lengths or "", curvature, arc))
     with naming(given.path or None):
         k, rows, part = _one_shell(given.item.values, shell)
-        k, unit_line = in_newton_per_metre(k, unit, given.item.unit)
-        k, sign = turned_sign(k.T if transpose else k)
+        in_newtons, unit_line = in_newton_per_metre(k, unit, given.item.unit)
+        stored = partial(_stored_as, k, unit or given.item.unit or "N/m", transposed=transpose)
+        k, sign = turned_sign(in_newtons.T if transpose else in_newtons)
         ways = list(_ways(given, rows, _names(ids, given.channels)))
         when, how = date_of(given, date)
     name = instrument or given.name
     known = given.mirror.name if given.mirror else None
-    check = partial(_checked, k, name=name, when=when, mirror=known, transposed=transpose)
+    check = partial(
+        _checked, k, name=name, when=when, mirror=known, stored=stored(k), transposed=transpose
+    )
     record, judged, positions, noted = _numbered(_first_that_fits(given, ways, check), given, ids)
     of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []
@@ -153,6 +156,15 @@ def stiffness_from(
     said += [f"  {what:<13}{how}" for what, how in lines]
     folder = given.path if given.channels is not None and given.kind else ""
     return Imported(record, tuple(said), judged.transposed, judged.balanced, folder)
+
+
+def _stored_as(read: Array, unit: str, k: Array, *, transposed: bool) -> StoredAs:
+    """Return how an (n, n) matrix is stored, from what was read and what was made of it [N/m]."""
+    unit = "" if unit == "unknown" else unit
+    of = read.T if transposed else read
+    largest = np.unravel_index(np.argmax(np.where(np.isfinite(of), np.abs(of), 0.0)), of.shape)
+    factor = float(k[largest] / of[largest])  # unit and sign
+    return StoredAs(factor, unit, transposed, np.arange(len(k)), len(k))
 
 
 def _numbered(found: Checked, given: Given, ids: object) -> Checked:
@@ -181,6 +193,7 @@ def _checked(
     when: datetime.datetime,
     mirror: str | None,
     *,
+    stored: StoredAs,
     transposed: bool,
 ) -> Checked:
     """Return an (n, n) matrix [N/m] with its positions, checked; lines on what was left out."""
@@ -198,7 +211,8 @@ def _checked(
     of = layout(
         positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
     )
-    record = StiffnessMatrix(name, when, of, k, mirror=mirror or None)
+    stored = replace(stored, rows=np.flatnonzero(~lost))
+    record = StiffnessMatrix(name, when, of, k, mirror=mirror or None, stored=stored)
     share = MIN_ORDER_SHARE if mirror is None else MIN_EXPLAINED_COUPLING
     judged = judge(record, share, transposed=transposed)
     record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))

@@ -157,7 +157,7 @@ def _in_folder(
     given: Path, coordinates: Any, mirror: Rings | None, dataset: str | None, surface: Surface
 ) -> Given:
     """Read a supervisor's folder, or a configuration folder of opticalib."""
-    path = _folder_of_matrix(given)
+    path = folder_of_matrix(given)
     stored = read_stored(path / MATRIX)
     item, which = matrix_in(stored, dataset)
     own = Path(coordinates) if isinstance(coordinates, str | os.PathLike) else None
@@ -196,7 +196,7 @@ def _in_folder(
     )  # fmt: skip
 
 
-def _folder_of_matrix(folder: Path) -> Path:
+def folder_of_matrix(folder: Path) -> Path:
     """Return the folder of the only matrix in a folder or below."""
     tree = _tree_of(folder)
     found = tree.get(MATRIX, [])

@@ -6,7 +6,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import starmap
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from truenewton.files.hdf5 import SUFFIXES as HDF5
 from truenewton.files.outputs import folder_beside
 from truenewton.records.cycle import Cycle, Segment, Source, check_segments, sums_of
 from truenewton.records.samples import SampleMeans, left_in_file, rows_of_samples, sample_means
-from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.records.stiffness_matrix import StiffnessMatrix, StoredAs
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LEAST_NOISE, Load
 
@@ -105,14 +105,20 @@ SEGMENTED_CYCLE = FileFormat(
 SAMPLES = TableFormat(STREAM, MEASUREMENTS.columns)
 RAW = FileFormat(CYCLE.keywords, (ACTUATORS, SAMPLES))
 SEGMENTED_RAW = FileFormat(SEGMENTED_CYCLE.keywords, (ACTUATORS, SAMPLES, SEGMENTS))
+ROW = Column("ROW", "stored.rows", kind="int", absent=None)
+STORED_ACTUATORS = replace(ACTUATORS, columns=(*ACTUATORS.columns, ROW))
 STIFFNESS = FileFormat(
     (
         INSTRUMENT,
         Keyword("DATE-OBS", "date", "UTC", kind="date"),
         Keyword("DISPLACE", "displaced", "displacements: read or true", kind="str", absent="read"),
         Keyword("MIRROR", "mirror", "known mirror, if positions are its", kind="str", absent=None),
+        Keyword("STORFACT", "stored.factor", "N/m per unit of the imported file", absent=None),
+        Keyword("STORUNIT", "stored.unit", "unit of the imported file", kind="str", absent=""),
+        Keyword("STORTRAN", "stored.transposed", "its rows are sensors", kind="bool", absent=False),
+        Keyword("STORSIZE", "stored.size", "number of its rows", kind="int", absent=None),
     ),
-    (ACTUATORS, ImageFormat("STIFFNESS", "stiffness", "N/m")),
+    (STORED_ACTUATORS, ImageFormat("STIFFNESS", "stiffness", "N/m")),
 )
 SOURCES = TableFormat(
     "SOURCES",
@@ -278,8 +284,13 @@ def averaged_from(file: FitsFile, *, means_in_memory: bool = True) -> Averaged:
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
     """Return the stiffness matrix in a file."""
-    source = Source(file.path, file.sha256)
-    return file.filled(StiffnessMatrix, file.values(STIFFNESS) | {"source": source})
+    values = file.values(STIFFNESS)
+    stored = values.pop("stored")
+    with naming(file.path):
+        whole = all(value is not None for value in stored.values())
+        known = StoredAs(**stored) if whole else None
+    more = {"source": Source(file.path, file.sha256), "stored": known}
+    return file.filled(StiffnessMatrix, values | more)
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:

@@ -171,6 +171,7 @@ def _part_of_matrix(matrix: StiffnessMatrix, number: int) -> StiffnessMatrix:
         instrument=f"{matrix.instrument} segment {number}",
         layout=matrix.layout.part(chosen),
         stiffness=matrix.stiffness[np.ix_(chosen, chosen)],
+        stored=None,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
@@ -16,6 +17,45 @@ from truenewton.statics.layout import Layout
 
 DISPLACED = ("read", "true")
 MIN_ELEMENT = 1e-30  # an element below it is 0 [N/m]: squares of what remains stay above zero
+
+
+@dataclass(frozen=True, eq=False)
+class StoredAs:
+    """How the file that was imported stores the matrix, to write others for the same electronics.
+
+    Attributes
+    ----------
+    factor
+        N/m of one unit of the file; negative if the file has the opposite sign.
+    unit
+        That of the file; '' if it is unknown.
+    transposed
+        Whether rows of the file are sensors.
+    rows, size
+        (n,) row of each actuator in the file, from 0; the number of rows of the file.
+    """
+
+    factor: float
+    unit: str
+    transposed: bool
+    rows: NDArray[np.int64]
+    size: int
+
+    def __post_init__(self) -> None:
+        rows = np.asarray(self.rows)
+        if not (np.isfinite(self.factor) and self.factor):
+            raise FormatError(f"STORFACT is {self.factor}", remedy="import the matrix again")
+        if np.unique(rows).size != rows.size or not ((rows >= 0) & (rows < self.size)).all():
+            raise FormatError(
+                f"ROW of ACTUATORS does not number rows of a matrix of {self.size}",
+                remedy="import the matrix again",
+            )
+
+    def array(self, stiffness: Array) -> Array:
+        """Return an (n, n) matrix [N/m] as the file stores it, (size, size); 0 for other rows."""
+        whole = np.zeros((self.size, self.size))
+        whole[np.ix_(self.rows, self.rows)] = stiffness / self.factor
+        return whole.T if self.transposed else whole
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,6 +77,8 @@ class StiffnessMatrix:
         'read' if displacements are sensor readings, 'true' if they are corrected for the sensors.
     mirror
         The known mirror that the positions are from, or None.
+    stored
+        How the file stores it that was imported; None of others.
 
     Examples
     --------
@@ -54,6 +96,7 @@ class StiffnessMatrix:
     source: Source | None = None
     displaced: str = "read"
     mirror: str | None = None
+    stored: StoredAs | None = None
 
     def __post_init__(self) -> None:
         check_date(self.date)
@@ -75,6 +118,8 @@ class StiffnessMatrix:
                 f"STIFFNESS is {' x '.join(map(str, self.stiffness.shape))} for {n} actuators",
                 remedy=f"give an image of {n} x {n}",
             )
+        if self.stored is not None and len(self.stored.rows) != n:
+            raise FormatError("ROW is not one number for each actuator", remedy="import it again")
         counted = self.used_stiffness
         if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > MAX_MAGNITUDE:
             raise FormatError("STIFFNESS contains NaN, inf or absurd values", remedy="correct them")
