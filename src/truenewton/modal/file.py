@@ -21,7 +21,7 @@ from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
 from truenewton.records.parts import Parts, by_number
-from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.records.stiffness_matrix import StiffnessMatrix, StoredAs
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,30 @@ class _Written:
     def commanded(self) -> Array:
         """(N, N) commanded forces per true displacement [N/m]."""
         return self._square(self.base.stiffness.acting_stiffness / self.alpha)
+
+    def as_imported(self, forces: Array) -> Array:
+        """Return (n, n) forces per true displacement [N/m] as the imported file stores its matrix.
+
+        They become forces per sensor reading, in its sign, unit, order and orientation.
+        """
+        square = self._square(self.base.stiffness.per_reading(forces))
+        return square if self.stored is None else self.stored.array(square)
+
+    @property
+    def stored(self) -> StoredAs | None:
+        """How the file that was imported stores the matrix; None of cycles."""
+        return self.base.matrix.stored
+
+    @property
+    def read_modes(self) -> Array:
+        """(N, m) readings of the sensors for each mode, in the rows of the imported file."""
+        base = self.base
+        readings = self.whole(base.stiffness.read(self.displacements()))
+        if self.stored is None:
+            return readings
+        everywhere = np.zeros((self.stored.size, readings.shape[1]))
+        everywhere[self.stored.rows] = readings
+        return everywhere
 
     def _square(self, forces: Array) -> Array:
         """Return (N, N) forces of all actuators from (n, n) of the enabled, read-only."""
@@ -102,15 +126,34 @@ def _budget(name: str, base: int, *more: Column) -> TableFormat:
     return TableFormat(name, (number, *more, *summaries))
 
 
-def _plain(axis: str, meaning: str, unit: str | None, matrix: Attribute) -> FileFormat:
-    """Return the format of a matrix in the primary HDU, with nothing else."""
+def _plain(meaning: str, matrix: Attribute, *, forces: bool) -> FileFormat:
+    """Return the format of a matrix in the primary HDU, with nothing else, for electronics."""
+
+    def axes(w: _Written) -> tuple[str, str]:
+        """Return the kinds of its columns and rows."""
+        if not forces:
+            return "MODE", "ACTUATOR"
+        turned = w.stored is not None and w.stored.transposed
+        return ("ACTUATOR", "SENSOR") if turned else ("SENSOR", "ACTUATOR")
+
+    def unit(w: _Written) -> str | None:
+        return "N/m" if w.stored is None else w.stored.unit or None
+
+    def sign(w: _Written) -> int:
+        return -1 if w.stored is not None and w.stored.factor < 0.0 else 1
+
     return FileFormat(
         (
             INSTRUMENT,
             Keyword("DATE-OBS", "base.matrix.date", "UTC", kind="date"),
-            _text("CTYPE1", lambda _: axis, f"columns: {meaning}"),
-            _text("CTYPE2", lambda _: "ACTUATOR", "rows, axis 0 in numpy"),
-            _text("BUNIT", lambda _: unit, "of the matrix"),
+            _text("CONTENT", lambda _: meaning, "sign, unit, order as imported"),
+            _text("CTYPE1", lambda w: axes(w)[0], "columns"),
+            _text("CTYPE2", lambda w: axes(w)[1], "rows, axis 0 in numpy"),
+            _text("BUNIT", lambda w: unit(w) if forces else None, "of the matrix"),
+            _integer(
+                "SIGN", lambda w: sign(w) if forces else None, "1: positive diagonal, -1: neg."
+            ),
+            _text("DISPLACE", "base.matrix.displaced", "displacements: read or true"),
         ),
         matrix=matrix,
     )
@@ -171,11 +214,17 @@ MODES = FileFormat(
 )
 BY_TURBULENCE = 4  # extensions at the end
 PLAIN = {
-    "ff_v_matrix": _plain(
-        "MODE", "displacement per mode", None, lambda w: w.whole(w.displacements())
+    "ff_v_matrix": _plain("displacements of each mode", "read_modes", forces=False),
+    "ff_matrix": _plain(
+        "commanded force per displacement",
+        lambda w: w.as_imported(w.base.stiffness.acting_stiffness / w.alpha),
+        forces=True,
     ),
-    "ff_matrix": _plain("SENSOR", "commanded N per true m", "N/m", "commanded"),
-    "ff_matrix_true": _plain("SENSOR", "true N per true m", "N/m", "true"),
+    "ff_matrix_true": _plain(
+        "true force per displacement",
+        lambda w: w.as_imported(w.base.stiffness.acting_stiffness),
+        forces=True,
+    ),
 }
 BESIDE = ("true", "commanded", *PLAIN)
 
@@ -204,8 +253,9 @@ def write_modes(
     """Write the modal basis, and feed-forward and modes as plain matrices; return the paths.
 
     The other files are MODES.true.fits and MODES.commanded.fits, stiffness files of the force per
-    true displacement in true and in commanded Newtons; and one plain matrix each:
+    true displacement in true and in commanded Newtons; and one plain matrix each for electronics:
     MODES.ff_v_matrix.fits (the modes), MODES.ff_matrix.fits (commanded), MODES.ff_matrix_true.fits.
+    These are per sensor reading, in sign, unit and order of the file that was imported.
 
     Parameters
     ----------

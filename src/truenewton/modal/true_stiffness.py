@@ -111,6 +111,8 @@ class TrueStiffness:
         The n enabled actuators; (n,) false where one is off.
     followers
         (n - m, m) displacements of the others per displacement of each commanded one.
+    floating
+        (n - a, n) displacements of those that are off per displacement of each of a that act.
     acting_stiffness
         (n, n) true force per displacement if slaved actuators were commanded too: the feed-forward
         of all actuators that act; 0 for those that are off [N/m].
@@ -135,6 +137,7 @@ class TrueStiffness:
     enabled: Layout
     acts: NDArray[np.bool_]
     followers: Array
+    floating: Array
     acting_stiffness: Array
     enabled_alpha: Array
     enabled_gain: Array
@@ -145,7 +148,7 @@ class TrueStiffness:
     imbalance: float
 
     def __post_init__(self) -> None:
-        freeze(self, "followers", "acting_stiffness", "enabled_alpha", "enabled_gain",
+        freeze(self, "followers", "floating", "acting_stiffness", "enabled_alpha", "enabled_gain",
                "enabled_offset", "actuator_asymmetry")  # fmt: skip
 
     @property
@@ -192,6 +195,17 @@ class TrueStiffness:
             return np.asarray(moved / gain)
         factors = lu_factor(motion_from(self.places, self.enabled_offset), overwrite_a=True)
         return np.asarray(lu_solve(factors, moved) / gain)
+
+    def per_reading(self, forces: Array) -> Array:
+        """Return (k, n) forces per reading of each that acts, from those per true displacement."""
+        if self.places.motion is None and not self.enabled_offset.any():
+            return np.asarray(forces * self.enabled_gain)
+        acts = self.acts
+        moved = np.eye(self.enabled.n)[:, acts]
+        moved[~acts] = self.floating[:, acts]
+        found = np.zeros_like(forces)
+        found[:, acts] = np.linalg.solve(self.read(moved)[acts].T, forces[:, acts].T).T
+        return found
 
     @property
     def feed_forward_commanded(self) -> Array:
@@ -270,11 +284,12 @@ def true_stiffness(
         symmetric -= coupling @ rigid.T
         symmetric -= rigid @ coupling.T
         symmetric = symmetrised(symmetric)  # to the last digit
-    followers = _following(symmetric, floats, follows)
+    followers, floating = _following(symmetric, floats, follows)
     symmetric.setflags(write=False)  # so that the record need not copy it
     return TrueStiffness(
         layout=layout.part(~(floats | follows)), calibrated=calibration is not None,
-        enabled=layout, acts=~floats, followers=followers, acting_stiffness=symmetric,
+        enabled=layout, acts=~floats, followers=followers, floating=floating,
+        acting_stiffness=symmetric,
         enabled_alpha=alpha, enabled_gain=gain, enabled_offset=offset, places=places,
         asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
         actuator_asymmetry=skew / size,
@@ -322,8 +337,10 @@ def _row_norms(matrix: Array, transposed_sign: float) -> Array:
     return norms
 
 
-def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) -> Array:
-    """Return (n - m, m) displacements of the actuators that are not commanded.
+def _following(
+    k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return (n - m, m) displacements of the actuators that are not commanded, and ``floating``.
 
     k is overwritten by the stiffness of all that act, slaved ones included.
     """
@@ -342,12 +359,12 @@ def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) 
         k += k[:, floats] @ floating
         k[floats] = k[:, floats] = 0.0
     followers = np.zeros((len(k), int(commanded.sum())))
+    followers[floats] = floating[:, commanded]
     if follows.any():
         slaved = np.linalg.lstsq(k[:, follows], -k[:, commanded], rcond=None)[0]
         followers[follows] = slaved
-        floating[:, commanded] += floating[:, follows] @ slaved
-    followers[floats] = floating[:, commanded]
-    return followers[~commanded]
+        followers[floats] += floating[:, follows] @ slaved
+    return followers[~commanded], floating
 
 
 def static_force(

@@ -163,7 +163,7 @@ def _refuse_foreign(files: list[FitsFile], matrices: list[FitsFile]) -> None:
     """Raise FormatError for a file that does not belong to a campaign."""
     for file in files:
         faults = [fault for name, fault in FOREIGN.items() if name in file.extensions]
-        if file.header.get("CTYPE2") == "ACTUATOR":
+        if "ACTUATOR" in (file.header.get("CTYPE1"), file.header.get("CTYPE2")):
             faults += [
                 Fault("is a plain matrix of a modal basis", "give the .commanded.fits beside it")
             ]
