@@ -24,6 +24,7 @@ from truenewton.estimation.checks import (
     check_inputs,
     refusal_naming,
     strange_alphas,
+    unlike_declared,
 )
 from truenewton.estimation.effects.catalogue import CATALOGUE
 from truenewton.estimation.effects.correction import (
@@ -83,7 +84,7 @@ from truenewton.estimation.problem import (
     with_noise_from_minimum,
     with_share_in_balance,
 )
-from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.readings.moments import Moments, structure_of
 from truenewton.estimation.readings.rows import WEIGHED_NOISE
 from truenewton.estimation.screening.screen import ScreenedCampaign, refuse_too_many
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
@@ -134,8 +135,41 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
     """Return the likeliest alpha of a screened campaign, without outliers; no row is read.
 
     With ``population`` alpha is a sample of one normal population, whose spread is estimated.
+    If the noise is declared, and everything fits with another, it is that one.
     Raises RankDeficient, TooManyOutliers or NotConverged.
     """
+    other = with_noise_of_shapes(screened)
+    if other is not None:
+        try:
+            estimate = _fit_campaign(other, population)
+        except (RankDeficient, TooManyOutliers, NotConverged):
+            return _fit_campaign(screened, population)
+        goodness = estimate.goodness
+        chance = min(goodness.probability, 1.0 - goodness.probability) if goodness else 0.0
+        if chance > LIMITS.fit_probability and not estimate.effects:
+            ratio = float(np.sqrt(np.mean(other.noise.variance / screened.noise.variance)))
+            return estimate.with_warnings(unlike_declared(1e3 * estimate.noise, ratio))
+    return _fit_campaign(screened, population)
+
+
+def with_noise_of_shapes(screened: ScreenedCampaign) -> ScreenedCampaign | None:
+    """Return a campaign without repeats with the noise by which shapes repeat over loads and signs.
+
+    None if that agrees with FORCERR, or repeats show the noise.
+    """
+    structure, noise = screened.structure, screened.noise
+    if noise.source != NoiseSource.DECLARED or structure is None:
+        return None
+    if LIMITS.fit_probability < structure.probability < 1.0 - LIMITS.fit_probability:
+        return None
+    noise = replace(noise, variance=np.maximum(structure.reduced * noise.variance, noise.least))
+    moments = replace(screened.moments, pooled=True)
+    structure = structure_of(moments, noise, screened.samples)
+    return replace(screened, noise=noise, moments=moments, structure=structure)
+
+
+def _fit_campaign(screened: ScreenedCampaign, population: bool) -> Estimate:
+    """Return the likeliest alpha with the noise of a reading as it is."""
     sound, moments = screened.sound, screened.moments
     refuse(structural_faults(sound, moments))
     with refusal_naming(lambda: (*screened.suspects, *screened.clipped)):

@@ -414,14 +414,21 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
     expected = WEIGHED_NOISE**2 + np.mean(moments.rounding)
     louder = float(np.sqrt(problem.noise.seen.mean() / expected))
     known = declared and problem.noise.source == NoiseSource.REPEATS
-    if known and louder > MIN_SCATTER_RATIO and in_newton:
-        noise = 1e3 * moments.noise
-        yield Finding.of(Code.NOISE_ABOVE_DECLARED, noise=noise, ratio=louder)
+    if known and louder > 1.0 and in_newton:
+        yield from unlike_declared(1e3 * moments.noise, louder)
     reset = np.isnan(moments.reference)
     if reset.any() and any(map(is_displaced, problem.campaign.cycles)):
         reset &= ~still_sensors(problem.campaign).any(axis=0)  # of those that move at all
         if reset.any():
             yield Finding.of(Code.ZEROS_RESET, sensors=int(np.count_nonzero(reset)))
+
+
+def unlike_declared(noise: float, ratio: float) -> Iterator[Finding]:
+    """Warn that FORCERR is wrong, from the noise of a reading [mN] and its ratio to FORCERR."""
+    if ratio > MIN_SCATTER_RATIO:
+        yield Finding.of(Code.NOISE_ABOVE_DECLARED, noise=noise, ratio=ratio)
+    elif ratio < 1.0 / MIN_SCATTER_RATIO:
+        yield Finding.of(Code.NOISE_BELOW_DECLARED, noise=noise, ratio=ratio)
 
 
 def _cycle_warnings(campaign: Campaign) -> Iterator[Finding]:

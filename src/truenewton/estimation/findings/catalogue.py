@@ -58,9 +58,7 @@ _CHECK_WEIGHT = (
     " error. If a load is tilted, alpha is wrong as well"
 )
 _DISABLE = "If it exerts no force, set ENABLED to F"
-_IN_ORDER = (
-    "put the columns of {detail} in that file in the order of ACTUATORS, or leave the file out"
-)
+_IN_ORDER = "put the columns of {detail} in that file in the order of ACTUATORS, or leave it out"
 ORDER_OF_BOTH = "put the columns of FORCE and POSITION in the order of the ACTUATORS table"
 _GRADIENTS = (
     "do not rely on large-scale gradients of alpha. Cycles under known weights constrain them"
@@ -83,8 +81,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.LOAD_REPOSITIONED: Entry("load repositioned between files"),
     Code.UNKNOWN_FORCE: Entry(
         "unknown force",
-        remedy="check that its column of FORCE contains its own readings, of the same rows. If so,"
-        " look for friction, dust in its gap or a cable at it",
+        remedy="check that FORCE is its own in each row, and look for friction, dust or a cable",
     ),
     Code.UNKNOWN_EFFECT: Entry(
         "unknown effect, most similar to {}",
@@ -259,6 +256,9 @@ ENTRIES: dict[Code, Entry] = {
     Code.NOISE_ABOVE_DECLARED: _usable(
         "repeated shapes scatter by {noise:.2g} mN, {ratio:.3g} times FORCERR",
         "find what moves the mirror or the readings between repeats, and correct FORCERR",
+    ),
+    Code.NOISE_BELOW_DECLARED: _usable(
+        "repeated shapes scatter by {noise:.2g} mN, {ratio:.3g} times FORCERR", "correct FORCERR"
     ),
     Code.FORCE_STEPS: _usable(
         "FORCE has steps of {step:.3g} mN. They cause most of its noise: E_STAT includes"

@@ -103,6 +103,7 @@ class Code(StrEnum):
     ALPHA_FAR_FROM_ONE = "alpha-far-from-one"
     # The noise, and how well the model fits.
     NOISE_ABOVE_DECLARED = "noise-above-declared"
+    NOISE_BELOW_DECLARED = "noise-below-declared"
     FORCE_STEPS = "force-steps"
     ZEROS_RESET = "zeros-reset"
     MISFIT = "misfit"
