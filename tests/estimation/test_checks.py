@@ -120,6 +120,31 @@ def test_an_effect_that_does_not_explain_the_data_is_unknown(happens, similar, w
     assert "Possible causes, besides" in effect.remedy
 
 
+def test_noise_in_proportion_to_the_force_is_reported_and_no_coils():
+    """Noise of 1 % of the force was quadratic coils, 'have the coil drivers looked at'."""
+    codes, squares = [], []
+    for seed in range(6):
+        bench = SmallBench([seed, 2], 1e-4)
+        force = bench.readings
+        bench.error = bench.error + 0.01 * force * bench.random.standard_normal(force.shape)
+        found = tn.calibrate(bench.campaign())
+        codes += [str(each.code) for each in found.effects]
+        squares.append(np.mean((found.alpha - bench.alpha) ** 2 / found.statistical_error**2))
+        assert found.verdict.level == "usable"
+        [share] = [each.size for each in found.effects if each.code == "noise-by-force"]
+        assert share == pytest.approx(1.0, abs=0.15)
+    assert set(codes) == {"noise-by-force"}
+    assert np.sqrt(np.mean(squares)) == pytest.approx(1.0, abs=0.4)
+    assert not tn.calibrate(SmallBench(1, 1e-4).campaign()).effects
+
+
+def test_a_drift_is_no_noise_in_proportion_to_the_force():
+    bench = SmallBench(2, 1e-4)
+    bench.gain = 1 + 3e-3 * bench.hours[:, None]
+    found = tn.calibrate(bench.campaign()).effects
+    assert [str(each.code) for each in found] == ["gain-by-hour"]
+
+
 def test_a_dead_actuator_and_exchanged_poles_are_reported():
     random = np.random.default_rng(1)
 

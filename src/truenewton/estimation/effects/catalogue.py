@@ -58,6 +58,7 @@ WITHIN_GROUPS = {
     Code.ZERO_BY_FILE_OF_EACH,
     Code.LOAD_REPOSITIONED,
 }
+POWERS = {"gain": 1, "coil": 1, "quadratic": 2, "cubic": 3}  # of c^ in effects, by their code
 MIN_FILES = 3  # files that effects by file need
 MAX_AFFECTED_FRACTION = 0.1  # of the actuators: if more stand out, it is no effect of single ones
 
@@ -401,8 +402,20 @@ def effect_tests(fit: FittedRows, *, bounded: bool = False) -> list[EffectTest]:
     made = ((effect, effect.derivative(fit)) for effect in CATALOGUE)
     effects = [(effect, each) for effect, each in made if each is not None and each.count]
     found = chi2_of(fit, [derivative for _, derivative in effects], bounded=bounded)
+    if fit.moments.by_force:
+        found = [one and _in_uneven_noise(fit, *pair, *one[:2])
+                 for pair, one in zip(effects, found, strict=True)]  # fmt: skip
     each = [EffectTest(*pair, *one) for pair, one in zip(effects, found, strict=True) if one]
     return sorted(each, key=lambda test: test.log_probability)
+
+
+def _in_uneven_noise(
+    fit: FittedRows, effect: Effect, _: Derivative, statistic: float, freedom: float
+) -> tuple[float, float, float]:
+    """Return the test of an effect if the noise grows with the force, and so along its pattern."""
+    power = next((p for code, p in POWERS.items() if effect.code.startswith(code)), 0)
+    statistic /= fit.moments.noise_along(power) if power else 1.0
+    return statistic, freedom, float(log_chance(statistic, freedom))
 
 
 def significant_tests(found: Sequence[EffectTest]) -> list[EffectTest]:

@@ -89,6 +89,9 @@ ENTRIES: dict[Code, Entry] = {
         " not fit. Possible causes, besides {detail}: FORCE of another row or actuator, shapes that"
         " differ between files, noise that grows with the force, a wrong FORCERR or label",
     ),
+    Code.NOISE_BY_FORCE: Entry(
+        "noise in proportion to the force", level=Level.USABLE, remedy="average more readings"
+    ),
     Code.TEMPERATURE_BETWEEN_LOADS: Entry("temperature between the loads", level=Level.USABLE),
     Code.DEAD_NO_FORCE: _of_silent(
         "dead actuator, no force is commanded", f"check its coil, driver and cable. {_DISABLE}"
@@ -129,10 +132,7 @@ ENTRIES: dict[Code, Entry] = {
         "move these columns of FORCE by one row, and mark the last row of each file as not VALID."
         " Check when the electronics record FORCE",
     ),
-    Code.SAME_READINGS: _of_input(
-        "two columns of FORCE are the same",
-        "command one of the actuators alone, and read FORCE of the other from its own channel",
-    ),
+    Code.SAME_READINGS: _of_input("two columns of FORCE are the same", "check their channels"),
     Code.ORDER_OF_POSITION: _of_input("order of FORCE is not that of POSITION", ORDER_OF_BOTH),
     Code.MISPLACED_ACTUATOR: _of_input(
         "actuator is not at its X and Y",

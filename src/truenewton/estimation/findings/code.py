@@ -41,6 +41,7 @@ class Code(StrEnum):
     UNKNOWN_FORCE = "unknown-force"
     UNKNOWN_EFFECT = "unknown-effect"
     CORRELATED_NOISE = "correlated-noise"
+    NOISE_BY_FORCE = "noise-by-force"
     TEMPERATURE_BETWEEN_LOADS = "temperature-between-loads"
     # Single actuators and sensors.
     DEAD_NO_FORCE = "dead-no-force"

@@ -212,6 +212,14 @@ class Moments:
     # (g, n) mean displacement of each sensor [m]; None without POSITION
     displacement: Array | None = None
     step: Array | float = 0.0  # (n,) of which readings are multiples [N], or 0
+    by_force: float = 0.0  # share of the variance of the noise that is in proportion to c^2
+
+    def noise_along(self, power: int) -> float:
+        """Return the variance of the noise along c^power, relative to that of uniform noise."""
+        square = self.mean**2
+        weight = self.weight[:, None] * square**power
+        relative = square / np.maximum(self.weight @ square / self.weight.sum(), 1e-300)
+        return 1.0 + self.by_force * (float(np.sum(weight * relative) / np.sum(weight)) - 1.0)
 
     @cached_property
     def groups(self) -> int:
@@ -463,6 +471,8 @@ def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> St
     left = np.maximum(moments.squares - np.sum(pooling.rows(moments.mean) ** 2, axis=0), 0.0)
     chi2 = float(left @ (1.0 / noise.variance))
     independent = independent_readings(samples, len(noise.variance))
+    if moments.by_force:  # few readings then have most of the noise
+        independent /= 1.0 + moments.by_force * (moments.noise_along(1) - 1.0)
     freedom = (moments.groups - pooling.count) * independent
     chi2 *= independent / len(noise.variance)
     if noise.source == NoiseSource.REPEATS:

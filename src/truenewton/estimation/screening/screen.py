@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.chance import OF_EACH_KIND, normal_isf, t_isf
+from truenewton.chance import OF_EACH_KIND, chi2_ppf, normal_isf, t_isf
 from truenewton.cluster import Client
 from truenewton.errors import FormatError, TooManyOutliers, TrueNewtonError
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding, about_actuators
 from truenewton.estimation.readings.moments import (
+    MIN_REPEATS,
     Moments,
     Noise,
     Structure,
@@ -33,6 +34,7 @@ from truenewton.estimation.readings.moments import (
     reading_noise,
 )
 from truenewton.estimation.readings.repeats import RepeatSums, RowPrints
+from truenewton.estimation.readings.rows import row_groups
 from truenewton.estimation.screening.hypotheses import (
     MIN_DIFFERENCE_OF_REPEATING_FILES,
     columns_of_other_rows,
@@ -44,6 +46,7 @@ from truenewton.estimation.screening.hypotheses import (
     unlike_files,
 )
 from truenewton.records.campaign import Campaign
+from truenewton.rounding import percent
 
 MAX_REJECTED_FRACTION = 0.3  # of the rows; beyond this the campaign is refused
 SYSTEMATIC_FRACTION = 0.15  # of the rows of a file: if more are outliers, its labels are checked
@@ -94,6 +97,10 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
         *columns_of_other_rows(campaign),
         *frozen_readings(campaign, prints),
     )
+    by_force = noise_by_force(campaign, sums.moments)
+    if by_force:
+        where = f"{percent(by_force)} of its variance"
+        suspects += (Finding(code=Code.NOISE_BY_FORCE, size=by_force, where=where),)
     clipped = clipped_readings(campaign, prints)
     refusal: TooManyOutliers | None = None
     try:
@@ -118,7 +125,7 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
     valid = np.array([cycle.valid.sum() for cycle in campaign.cycles])
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
     suspects += () if apart else _relabelled(campaign, prints, affected)
-    moments, frozen = sums.moments, tuple[Finding, ...]()
+    moments, frozen = replace(sums.moments, by_force=by_force), tuple[Finding, ...]()
     noise = reading_noise(sound, moments)
     if (displacement := sums.displacement()) is not None:
         frozen = tuple(frozen_sensors(campaign))
@@ -141,6 +148,48 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
         unlike,
         frozen,
     )
+
+
+def noise_by_force(campaign: Campaign, moments: Moments) -> float:
+    """Return the share of the noise that is in proportion to the force; 0 unless it is significant.
+
+    The deviation of a row from its repeats, without the zero and the gain of each actuator in its
+    file, has the variance s^2 (1 + share (c^2 / m - 1)), m the mean of c^2. Large deviations count
+    as of three standard deviations, so that accidents do not decide.
+    """
+    if moments.repeats < MIN_REPEATS or not all(
+        isinstance(cycle.force, np.ndarray) for cycle in campaign.cycles
+    ):
+        return 0.0
+    groups, total = row_groups(campaign)[2], np.zeros_like(moments.mean)
+    for cycle, group in zip(campaign.cycles, groups, strict=True):
+        np.add.at(total, group, cycle.used_force)
+    count = np.bincount(np.concatenate(groups))[:, None]
+    along = square = noise = 0.0
+    for cycle, group in zip(campaign.cycles, groups, strict=True):
+        some = np.flatnonzero(count[group] > 1)
+        some = some[:: max(1, len(some) // MAX_ROWS_OF_NOISE)]
+        if len(some) < MIN_ROWS_OF_NOISE:
+            continue
+        at, force = group[some], cycle.used_force[some]
+        mean = total[at] / count[at]
+        apart = np.sqrt(count[at] / (count[at] - 1.0)) * (force - mean)
+        centred = mean - mean.mean(axis=0)
+        gain = np.sum(apart * centred, axis=0) / _some(np.sum(centred**2, axis=0))
+        apart -= apart.mean(axis=0) + gain * centred
+        variance = np.median(apart**2, axis=0) / chi2_ppf(0.5, 1)
+        deviation = np.minimum(apart**2 / _some(variance), 9.0)
+        deviation -= deviation.mean(axis=0)
+        excess = mean**2 / _some(np.mean(mean**2, axis=0)) - 1.0
+        along += float(np.sum(excess * deviation))
+        square += float(np.sum(excess**2))
+        noise += float(np.sum((excess * deviation) ** 2))
+    significant = along > normal_isf(OF_EACH_KIND) * np.sqrt(noise)
+    return min(along / square, 1.0) if significant else 0.0
+
+
+def _some(values: Array) -> Array:
+    return np.maximum(values, 1e-300)
 
 
 def _require_stored(campaign: Campaign) -> None:
@@ -272,6 +321,7 @@ def refuse_too_many(rejected: int, rows: int) -> None:
         )
 
 
+MIN_ROWS_OF_NOISE, MAX_ROWS_OF_NOISE = 8, 100  # of each file
 MIN_FROZEN_ROWS = 3  # consecutive, at least
 MIN_FROZEN_FRACTION = 0.1  # of the rows of a file, consecutive
 
