@@ -97,6 +97,14 @@ def case(
     return listed
 
 
+def small(about: str, cases: dict[str, Callable[[], Any]], *, tolerance: float = TOLERANCE) -> None:
+    """List cases of a fraction of a second each, all in one file; of alpha three sums are kept."""
+    for name, make in cases.items():
+        case(f"small {about}: {name}", file=f"small {about}", fast=True, tolerance=tolerance)(
+            lambda make=make: folded(result_of(make()), 3)
+        )
+
+
 def result_of(made: Any) -> Result:
     """Return what is recorded of what a case made."""
     if isinstance(made, Result):
@@ -126,7 +134,7 @@ def finding_line(finding: Any) -> str:
         numbers += [f"{name}={_short(value)}" for name, value in one.values.items()]
         one = one.cause
     if finding.size:
-        numbers.append(f"size={finding.size:.3g}{finding.unit and ' '}{finding.unit}")
+        numbers.append(f"size={_short(finding.size)}{finding.unit and ' '}{finding.unit}")
     done = " corrected" if finding.corrected else ""
     about = " ".join(map(str, finding.actuators))
     parts = (f"{finding.level} {' of '.join(codes)}{done}", finding.detail, about, finding.where,
@@ -135,7 +143,10 @@ def finding_line(finding: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    point = "." if 99.95 <= abs(value) < 999.5 else ""  # no count, which must not change
+    return f"{value:.3g}{point}"
 
 
 def calibration_result(c: tn.Calibration) -> Result:
@@ -155,6 +166,8 @@ def calibration_result(c: tn.Calibration) -> Result:
 
 def folded(whole: Result, count: int) -> Result:
     """Return the first terms of the cosine series of alpha, with its rms errors."""
+    if whole.columns is None:
+        return whole
     n = len(whole.ids)
     waves = np.cos(np.pi * np.outer(np.arange(count), np.arange(n) + 0.5) / n) / np.sqrt(n)
     columns = {

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from reference import small_campaigns, small_matrices  # noqa: F401 (they list their cases)
 from reference.cases import CASES, TOLERANCE, Result, result_of
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
 
