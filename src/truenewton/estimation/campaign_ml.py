@@ -322,12 +322,17 @@ def _no_better_than_uniform(left: ExaminedFit, prior: Prior) -> Iterator[Finding
 
 
 def _relative_error(left: ExaminedFit) -> float:
-    """Return the median over actuators of the relative error of alpha, without the common scale."""
+    """Return the median over actuators of the relative error of alpha, without the common scale.
+
+    The scale is that of a mean by inverse variance, as alpha of a dead actuator is not known.
+    """
     n = left.problem.n
-    covariance = left.minimum.reading_covariance[:n, :n]
-    with_mean = covariance.mean(axis=0)
-    variance = np.diag(covariance) - 2.0 * with_mean + with_mean.mean()
-    return float(np.sqrt(np.median(variance)) / np.median(left.minimum.values[:n]))
+    covariance, alpha = left.minimum.reading_covariance[:n, :n], left.minimum.values[:n]
+    weight = 1.0 / np.diag(covariance)
+    weight /= weight.sum()
+    with_mean = covariance @ weight
+    variance = np.diag(covariance) - 2.0 * with_mean + weight @ with_mean
+    return float(np.sqrt(np.median(variance)) / abs(float(np.median(alpha))))
 
 
 def _fitted(

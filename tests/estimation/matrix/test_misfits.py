@@ -147,7 +147,7 @@ def test_copies_of_a_neighbour_that_hide_both_actuators_are_refused_by_name():
         k[:, BAD] = k[:, other]
 
     matrix, _ = measured(copied)
-    with pytest.raises(RankDeficient, match="actuators 20 and 21 .* empty or copies, but pushed"):
+    with pytest.raises(RankDeficient, match=r"actuators 20 and 21 .* empty or copies, but pushed"):
         calibrate(matrix, "svd")
 
 

@@ -113,8 +113,8 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
         # The three equations of a column contain one alpha: two unknown forces use up the rest.
         if np.count_nonzero(off) > 1:
             raise RankDeficient(
-                f"{named('actuator', ids[off].tolist(), 20)} have rows or columns in STIFFNESS that are"
-                " empty or copies, but pushed: the columns around them do not balance",
+                f"{named('actuator', ids[off].tolist(), 20)} have rows or columns in STIFFNESS that"
+                " are empty or copies, but pushed: the columns around them do not balance",
                 remedy="measure the stiffness with them switched off, or their rows and columns",
             )
         doubt[off] = UNKNOWN_FORCE
