@@ -1,5 +1,6 @@
 """Campaigns from arrays and long tables are those of the same cycles."""
 
+import io
 from dataclasses import replace
 
 import astropy.units as u
@@ -196,6 +197,9 @@ def test_columns_of_one_name_are_refused():
     given = ("TEST", LAYOUT, *WEIGHTS, [BARE, RING])
     with pytest.raises(FormatError, match="there are two columns mN; keep one of each"):
         tn.Campaign.from_dataframe(twice, *given, **NAMES)
+    text = twice.to_csv(index=False)  # pandas calls the second mN.1
+    with pytest.raises(FormatError, match="there are two columns mN; keep one of each"):
+        tn.Campaign.from_dataframe(pd.read_csv(io.StringIO(text)), *given, **NAMES)
     table["MN"] = table["mN"] * 2.0
     columns = NAMES["columns"] | {"force": "Mn"}
     with pytest.raises(FormatError, match=r"no column 'Mn'; name it by columns.* mN, .* and MN"):

@@ -101,7 +101,8 @@ def columns_in(table: Any) -> dict[str, tuple[str, str]]:
     """
     every = getattr(table, "columns", table if isinstance(table, Mapping) else ())
     names = [name for name in every if isinstance(name, str)]
-    refuse_doubles(names, "columns")
+    pandas = hasattr(table, "iloc")  # its read_csv calls the second of two columns F1 'F1.1'
+    refuse_doubles([name.removesuffix(".1") if pandas else name for name in names], "columns")
     known, found = {name: name_and_unit(name) for name in names}, dict[str, set[str]]()
     for name, (plain, _) in known.items():
         for short in (name, plain, without_group(name)):
