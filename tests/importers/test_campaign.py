@@ -284,8 +284,17 @@ def test_times_that_no_clock_gave_are_called_assumed(tmp_path, inside):
     assert all(cycle.times == "assumed" for cycle in tn.read(tmp_path / "file"))
 
 
-def test_a_row_column_of_a_long_table_is_in_the_example():
-    assert '# row = "row"' in example()
+def test_the_example_has_the_column_that_numbers_repeated_readings(tmp_path, inside):
+    changes = {DEFAULT: 'force = "f"', "# actuator": "actuator"}
+    path = written(tmp_path, "long.csv", changes)
+    path.write_text(path.read_text().replace('actuator = "actuator"', 'actuator = "name"'))
+    for name in tmp_path.glob("*.long.csv"):
+        once = pd.read_csv(name).assign(row=1)
+        pd.concat([once, once.assign(row=2)]).to_csv(name, index=False)
+    assert "two readings of shape 1 with sign 1; add a column 'row'" in inside("import", path)[2]
+    path.write_text(path.read_text().replace("# row", "row"))
+    out = inside("import", path)[1]
+    assert f"bare 1   {2 * len(CAMPAIGN.cycles[0].shape)} rows" in out
 
 
 def test_a_file_of_one_row_is_read(tmp_path, inside):

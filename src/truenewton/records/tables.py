@@ -332,9 +332,10 @@ def wide_rows(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str
     if _twice(row, column, actuators.n) is not None and "time" in values:
         row, first = _numbered(values, [*keys, "time"])
     if (twice := _twice(row, column, actuators.n)) is not None:
+        shape, sign = (str(values[name][twice]).removesuffix(".0") for name in ("shape", "sign"))
         raise FormatError(
-            f"actuator {values['actuator'][twice]} has two readings of shape"
-            f" {values['shape'][twice]} with sign {values['sign'][twice]}",
+            f"actuator {values['actuator'][twice]} has two readings of shape {shape} with sign"
+            f" {sign}",
             remedy="add a column 'row' that numbers the readings of the mirror",
         )
     arrays: dict[str, Any] = {}
