@@ -45,10 +45,11 @@ TOLERANCE = 1e-4  # of the rms of a column of numbers
 TOLERANCES = {"prove": 1e9, "calibrate_loop": 0.02, "loop.fits": 0.02}
 PACKAGES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh", "jinja2", "rich", "typer")
 NUMBER = re.compile(r"(?<![\w.#])[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?(?!\w)")
-# What differs from run to run; data and code of a page, which its text and figures repeat.
+# What differs from run to run; data and code of a page, which its text and figures repeat;
+# checksums.
 PASSING = re.compile(
     r'"(?:time|elapsed|python|host|process)": [^,]+, |<script.*?</script>'
-    r"|base64,[\w+/=]+|\d{4}-\d\d-\d\dT[\d:.]+",
+    r"|base64,[\w+/=]+|\d{4}-\d\d-\d\dT[\d:.]+|\b[0-9a-f]{64}\b",
     re.DOTALL,
 )
 COMMANDS = """
