@@ -63,6 +63,10 @@ def test_a_small_change_is_seen():
     assert len(compare(before, replace(before, columns=columns))) == 1
     less = replace(before, sentences=before.sentences[:-1])
     assert compare(before, less) == [f"- {before.sentences[-1]}"]
+    twice = replace(before, sentences=(*before.sentences, before.sentences[-1]))
+    assert compare(before, twice) == [f"+ {before.sentences[-1]}"]
+    turned = replace(before, sentences=before.sentences[::-1])
+    assert compare(before, turned)[0].startswith("other order")
     verdict = tuple(x.replace("verdict: ", "verdict: not ") for x in before.sentences)
     assert len(compare(before, replace(before, sentences=verdict))) == 2
 

@@ -85,6 +85,8 @@ def compare(old: Result, new: Result, tolerance: float = TOLERANCE) -> list[str]
     """Return how a result differs from the recorded one; nothing if it does not."""
     found = [f"- {line}" for line in _missing(old.sentences, new.sentences)]
     found += [f"+ {line}" for line in _missing(new.sentences, old.sentences)]
+    if not found and not all(map(_same, old.sentences, new.sentences)):
+        found = ["other order of the sentences:", *new.sentences]
     if (old.columns is None) != (new.columns is None) or old.ids != new.ids:
         return [*found, f"other rows: {len(new.ids)} instead of {len(old.ids)}"]
     if old.columns is None:
@@ -103,8 +105,15 @@ def compare(old: Result, new: Result, tolerance: float = TOLERANCE) -> list[str]
 
 
 def _missing(some: tuple[str, ...], others: tuple[str, ...]) -> list[str]:
-    """Return the sentences of some that are not among others, but for the last digit of numbers."""
-    return [one for one in some if not any(_same(one, other) for other in others)]
+    """Return the sentences of some that others lack, but for the last digit of numbers."""
+    left, missing = list(others), []
+    for one in some:
+        alike = next((k for k, other in enumerate(left) if _same(one, other)), None)
+        if alike is None:
+            missing.append(one)
+        else:
+            del left[alike]
+    return missing
 
 
 def _same(one: str, other: str) -> bool:
