@@ -351,3 +351,17 @@ def test_a_wrong_gain_is_found_among_sensors_off_their_magnets():
     gains = np.where(np.arange(len(k)) == BAD, 1.5, 1.0)
     [effect] = screen_matrix(replace(matrix, stiffness=k * gains)).effects
     assert effect.where == f"actuator {matrix.layout.id[BAD]}"
+
+
+@pytest.mark.parametrize("n", [6, 18])
+def test_small_mirrors_give_an_answer_or_a_clear_refusal(n):
+    """With six actuators, the sensors fit all pairs; and a diagonal may be missing altogether."""
+    truth, random = static_bench(ring(n), 3).truth, np.random.default_rng(n)
+    k = truth.stiffness / truth.alpha[:, None]
+    k *= 1.0 + 1e-4 * random.standard_normal(k.shape)
+    if n == 6:
+        assert np.isfinite(calibrate(StiffnessMatrix("R", START, truth.layout, k)).alpha).all()
+    hollow = k - np.diag(np.diag(k))
+    for method in ("svd", "ml"):
+        with pytest.raises(RankDeficient, match=f"{n} of {n} own elements .* are the same"):
+            calibrate(StiffnessMatrix("R", START, truth.layout, hollow), method)

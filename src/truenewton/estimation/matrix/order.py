@@ -55,10 +55,10 @@ def refuse_no_stiffness(k: Array) -> None:
             f"STIFFNESS is {fault}",
             remedy="store the forces of all actuators for a displacement of each",
         )
-    if len(k) < MIN_JUDGED_ACTUATORS:
-        return
     typical = float(np.median(own))
-    same = np.count_nonzero(np.abs(own - typical) < 1e-9 * abs(typical))
+    if len(k) < MIN_JUDGED_ACTUATORS and typical:
+        return
+    same = np.count_nonzero(np.abs(own - typical) <= 1e-9 * abs(typical))
     if 2 * same > len(k):
         raise RankDeficient(
             f"{same} of {len(k)} own elements of STIFFNESS are the same number, {typical:.3g}: rows"

@@ -218,7 +218,8 @@ def _likeliest(
     back = np.linalg.inv(seen.motion * fit.values.gain)
     true = alpha[:, None] * stiffness @ back
     apart, whole = true - true.T, 0.5 * (true + true.T)
-    left = 1.0 - max(0.0, fit.parameters[2] - n) / fit.equations[2]  # by what else is fitted
+    pairs = np.asarray(fit.equations[2])
+    left = float(_left(pairs, np.asarray(max(0.0, fit.parameters[2] - n))) / pairs)  # by the fit
     mixed = np.asarray(back**2)
     own, mean = alpha[:, None] ** 2, float(np.mean(stiffness**2))
     least, share = 1e-24 * mean, 1e-6  # so that logarithms stay bounded
