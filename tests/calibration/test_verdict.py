@@ -16,7 +16,7 @@ from truenewton.bench.simulated.static import START
 from truenewton.calibration import figures
 from truenewton.calibration.verdict import Level, verdict_on
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
-from truenewton.estimation.findings.catalogue import read_name
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import (
     ErrorKind,
     ErrorSource,
@@ -152,9 +152,8 @@ def negative(c, count):
     return replace(c, alpha=signs * c.alpha)
 
 
-def with_effect(c, name, **options):
-    code, detail = read_name(name)
-    effect = Finding(code=code, detail=detail, where="bare 1", remedy="leave it out")
+def with_effect(c, code, **options):
+    effect = Finding(code=code, detail="FORCE", where="bare 1", remedy="leave it out")
     return replace(c, effects=(replace(effect, **options),))
 
 
@@ -173,11 +172,11 @@ def with_held_out(c, before, after):
         (lambda c: negative(c, 2), "usable", "actuator 2: outlier, alpha is -"),
         (lambda c: negative(c, 3), "rejected", "negative for 3 of 45"),
         (lambda c: negative(c, 45), "rejected", "negative for all 45"),
-        (lambda c: with_effect(c, "copy of another file"), "rejected", "copy of another"),
-        (lambda c: with_effect(c, "SIGN reversed"), "doubtful", "SIGN reversed"),
-        (lambda c: with_goodness(with_effect(c, "SIGN reversed"), 9.0), "rejected", "SIGN"),
-        (lambda c: with_effect(c, "exchanged columns"), "rejected", "exchanged columns"),
-        (lambda c: replace(c, effects=3 * with_effect(c, "stuck reading").effects),
+        (lambda c: with_effect(c, Code.COPIED_FILE), "rejected", "copy of another"),
+        (lambda c: with_effect(c, Code.SIGN_REVERSED), "doubtful", "SIGN reversed"),
+        (lambda c: with_goodness(with_effect(c, Code.SIGN_REVERSED), 9.0), "rejected", "SIGN"),
+        (lambda c: with_effect(c, Code.EXCHANGED_COLUMNS), "rejected", "exchanged columns"),
+        (lambda c: replace(c, effects=3 * with_effect(c, Code.STUCK_READING).effects),
          "rejected", "3 of 45 actuators are dead or have stuck readings"),
         (lambda c: with_goodness(c, 2e8), "rejected", "1.4e+04 times the noise"),
         (lambda c: with_goodness(c, 5e3), "doubtful", "was multiplied by 71"),
@@ -232,7 +231,7 @@ def test_a_gain_of_one_load_leaves_the_scale_in_doubt_if_its_error_is_smaller():
 
 
 def test_an_effect_that_was_taken_out_condemns_nothing(clean):
-    corrected = with_effect(clean, "exchanged columns", corrected=True)
+    corrected = with_effect(clean, Code.EXCHANGED_COLUMNS, corrected=True)
     assert verdict_on(corrected).level != Level.REJECTED
 
 

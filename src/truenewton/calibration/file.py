@@ -13,7 +13,6 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.calibration.result import ACTUATORS, CALIBRATION, AnyCalibration, Calibration
 from truenewton.errors import FormatError, OutputExists, OutputFailed
-from truenewton.estimation.findings.catalogue import REPEATED, read_name, read_warning
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.estimate import (
     Diagnosis,
@@ -54,20 +53,19 @@ def calibration_from(file: FitsFile) -> Calibration:
             names, rows = values["effects"], _rows(*values["effects"].values())
             found = (_finding(**dict(zip(names, row, strict=True))) for row in rows)
             values["effects"] = tuple(found)
+        diagnosis = values["diagnosis"]
+        if "warnings" in diagnosis:
+            warnings = diagnosis["warnings"]
+            rows = _rows(*(warnings[k] for k in ("code", "level", "fault", "remedy", "stored")))
+            diagnosis["warnings"] = tuple(_warning(*row) for row in rows)
     except (KeyError, ValueError) as error:
         raise FormatError(
-            f"FITNOISE, a KIND of BUDGET or ACTUATORS of EFFECTS is {error}",
+            f"FITNOISE, a KIND of BUDGET, LEVEL or ACTUATORS of EFFECTS or WARNINGS is {error}",
             remedy="calibrate again",
             path=file.path,
         ) from None
     facts = Symmetry(**values.pop("matrix_facts"))
     values["matrix_facts"] = facts if np.isfinite(facts.asymmetry) else None
-    diagnosis = values["diagnosis"]
-    if "warnings" in diagnosis:
-        warnings = diagnosis["warnings"]
-        rows = _rows(*(warnings[name] for name in ("code", "level", "fault", "remedy", "stored")))
-        found = (_warning(*row) for row in rows if row[0] or not row[2].startswith(REPEATED))
-        diagnosis["warnings"] = tuple(found)
     values["diagnosis"] = Diagnosis(**diagnosis)
     return file.filled(Calibration, values)
 
@@ -112,30 +110,20 @@ def _scale_errors(source: dict[str, Any], relative: Array) -> Iterator[ScaleErro
 def _finding(
     code: str, level: str, name: str, detail: str, where: str, ids: str, **values: Any
 ) -> Finding:
-    """Return a finding of table EFFECTS; without a code (earlier versions) by name and place.
-
-    Of a code that only a newer version knows, the file contains the level.
-    """
-    if not code:
-        found, detail = read_name(name)
-        actuator, _, only = where.partition(" ")
-        ids = only if actuator == "actuator" and only.isdigit() else ""
-    elif code in set(Code):
-        found = Code(code)
-    else:  # of a newer version
-        found, detail = Code.OTHER, name
-        values["graded"] = Level.read(level) if level else None
+    """Return a finding of table EFFECTS; one whose code only a newer version knows by its level."""
+    found = Code(code) if code in set(Code) else Code.OTHER
+    if found is Code.OTHER:
+        detail, values["graded"] = name, Level(level)
     actuators = tuple(int(i) for i in ids.split())
     return Finding(code=found, detail=detail, where=where, actuators=actuators, **values)
 
 
 def _warning(code: str, level: str, fault: str, remedy: str, stored: str) -> Finding:
-    """Return a finding of table WARNINGS; of other versions by its text."""
+    """Return a finding of table WARNINGS; one of a newer version by its text and level."""
     try:
         return from_stored(code, remedy, json.loads(stored))
     except (KeyError, ValueError, TypeError, AttributeError):
-        graded = Level.read(level) if level else read_warning(fault)
-        return Finding(code=Code.OTHER, detail=fault, graded=graded, remedy=remedy)
+        return Finding(code=Code.OTHER, detail=fault, graded=Level(level), remedy=remedy)
 
 
 CALIBRATIONS = ResultKind(

@@ -66,7 +66,7 @@ class DayRecord:
     @property
     def rejected(self) -> bool:
         """Whether the verdict is 'rejected', or its name in an earlier version."""
-        return bool(self.verdict) and Level.read(self.verdict) <= Level.REJECTED
+        return bool(self.verdict) and Level(self.verdict) <= Level.REJECTED
 
 
 @dataclass(frozen=True)

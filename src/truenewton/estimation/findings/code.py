@@ -199,11 +199,6 @@ class Level(StrEnum):
     USABLE = "usable"
     SOUND = "sound"
 
-    @classmethod
-    def read(cls, word: str) -> Level:
-        """Return the level that a file of this or an earlier version names."""
-        return {"limited": cls.USABLE, "not to be used": cls.REJECTED}.get(word) or cls(word)
-
     @property
     def rank(self) -> int:
         """Its index from the worst, 0."""
