@@ -11,6 +11,7 @@ from truenewton.bench.simulated.static import static_bench
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix import (
     coherent_imbalance,
+    columns,
     couplings,
     facts,
     misfits,
@@ -225,11 +226,17 @@ def doubts(share=0.0, shift=1.0, noise=1.0, correlation=0.0, sigmas=9.0, gradien
 
 
 def noisy_columns(inflation):
-    columns = SimpleNamespace(a=np.ones((3, 9)), modes=SimpleNamespace(values=np.ones(6)))
+    given = SimpleNamespace(a=np.ones((3, 9)), modes=SimpleNamespace(values=np.ones(6)))
     with mock.patch.object(
         modes, "fit_columns", return_value=(SimpleNamespace(alpha=np.ones(9)), inflation)
     ):
-        return outcome(lambda: modes.column_fit(columns))
+        return outcome(lambda: modes.column_fit(given))
+
+
+def parameter_costs(gain):
+    """Whether a further parameter of the noise must raise the log likelihood by more."""
+    plain, mixed = (columns.ColumnNoise(1.0, share) for share in (0.0, 0.5))
+    return mixed.cost(np.ones(9)) - plain.cost(np.ones(9)) > gain
 
 
 def asymmetric(size):
@@ -285,6 +292,7 @@ CASES = [
     ("misfit_fraction", many_misfits, 10, [], 11, [Code.MANY_MISFITS]),
     ("ELEMENT_RATIO", element_against_noise, 29.0, [], 31.0, [(3, 4)]),
     ("COLUMN_IMBALANCE_RATIO", column_against_noise, 11.0, [], 13.0, [20]),
+    ("MIN_LOG_LIKELIHOOD_GAIN", parameter_costs, 2.9, True, 3.1, False),
     ("SPURIOUS_FACTOR", noisy_columns, 1.26, "accepted", 1.28, "refused"),
 ]  # fmt: skip
 
