@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.balanced import START, p45_bench, p45_matrix
-from studies.simulated_matrices import by_glass, drawn
+from studies.simulated_matrices import by_glass, drawn, hexagon, springs
 from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
@@ -223,6 +223,22 @@ def test_a_matrix_with_rows_in_the_wrong_order_is_refused(rows):
     assert row_order(turned).tolist() == np.roll(np.arange(45), -rows).tolist()
     with pytest.raises(RankDeficient, match="45 of 45 rows of STIFFNESS are not in the order of"):
         screen_matrix(replace(matrix, stiffness=turned))
+
+
+@pytest.mark.parametrize("stroke", [1e-6, 1e-5])
+def test_forces_at_rest_in_all_columns_are_the_cause(stroke):
+    """They leave the balance as it is; a rigid motion costs much, as in a transposed matrix."""
+    layout, random = hexagon(3), np.random.default_rng(16)
+    k = springs(layout, lambda square: square * np.log(square) / 1500.0)
+    k /= 1.0 + 0.02 * random.standard_normal((37, 1))
+    rest = 0.02 + 0.05 * random.standard_normal((37, 1))
+    [effect] = screen_matrix(StiffnessMatrix("H", START, layout, k + rest / stroke)).effects
+    assert effect.code == "forces-at-rest"
+    assert effect.remedy.startswith("subtract the forces at rest")
+    centre = np.argmin(np.hypot(layout.x, layout.y))
+    wrong = k * np.where(np.arange(37) == centre, 3.0, 1.0)
+    [effect] = screen_matrix(StiffnessMatrix("H", START, layout, wrong)).effects
+    assert effect.actuators == (layout.id[centre],)
 
 
 def displaced(order):

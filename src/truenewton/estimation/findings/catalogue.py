@@ -162,6 +162,10 @@ ENTRIES: dict[Code, Entry] = {
     Code.NEGATIVE_STIFFNESS: Entry("stiffness of the other sign", level=Level.USABLE),
     Code.DISORDERED_STIFFNESS: _of_input("coordinates in another order than STIFFNESS"),
     Code.INCOMPLETE_STIFFNESS: _of_input("forces missing in STIFFNESS"),
+    Code.FORCES_AT_REST: _of_input(
+        "all columns of STIFFNESS contain the same forces, as if those at rest had not been"
+        " subtracted"
+    ),
     Code.SYMMETRISED_STIFFNESS: _of_input(
         "STIFFNESS is symmetric, as if averaged with its transpose"
     ),

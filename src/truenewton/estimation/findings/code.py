@@ -78,6 +78,7 @@ class Code(StrEnum):
     NEGATIVE_STIFFNESS = "negative-stiffness"
     DISORDERED_STIFFNESS = "disordered-stiffness"
     INCOMPLETE_STIFFNESS = "incomplete-stiffness"
+    FORCES_AT_REST = "forces-at-rest"
     SYMMETRISED_STIFFNESS = "symmetrised-stiffness"
     TRANSPOSED_STIFFNESS = "transposed-stiffness"
     CLEANED_STIFFNESS = "cleaned-stiffness"

@@ -140,6 +140,18 @@ class MatrixFacts:
         return imbalance < 2.0 * float(np.median(rounded))
 
     @property
+    def without_forces_at_rest(self) -> MatrixFacts:
+        """The same without the forces f of K + f 1', as the stiffness K is almost symmetric.
+
+        Then f_i - f_j is the asymmetry of almost all pairs. Their mean follows from piston, which
+        costs no force. Both are of the median pair, so that single wrong sensors do not imitate f.
+        """
+        k = self.stiffness
+        force = np.median(k - k.T, axis=1)
+        force += float(np.mean(k)) - force.mean()
+        return MatrixFacts(k - force[:, None], self.arms)
+
+    @property
     def looks_transposed(self) -> bool:
         """Whether the rigid-body residual is much larger than the column imbalance."""
         costs_more = self.rigid_cost > TRANSPOSED_COST_RATIO * self.imbalance
