@@ -333,6 +333,19 @@ def test_a_sector_of_wrong_sensor_gains_is_found_without_false_positives():
     assert "its sensor gain is an outlier" in effect.name
 
 
+def test_actuators_that_fit_no_symmetry_are_named():
+    """Every sensor among ten reads a mixture of all ten: too many to be left out."""
+    matrix, _ = p45_matrix()
+    k, random = np.array(matrix.stiffness), np.random.default_rng(18)
+    some = slice(10, 20)
+    k[:, some] = k[:, some] @ (np.eye(10) + 0.2 * random.standard_normal((10, 10)))
+    [kept] = screen_matrix(replace(matrix, stiffness=k)).warnings
+    assert kept.code == "misfits-kept"
+    assert set(kept.actuators) <= set(matrix.layout.id[some].tolist())
+    assert len(kept.actuators) == kept.values["count"] > 4
+    assert ", ".join(map(str, kept.actuators[:-1])) in kept.fault
+
+
 def test_negative_alpha_of_the_balance_does_not_break_reciprocity():
     matrix, _ = p45_matrix()
     screened = screen_matrix(matrix)

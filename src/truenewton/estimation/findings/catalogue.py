@@ -376,8 +376,10 @@ ENTRIES: dict[Code, Entry] = {
         "measure the stiffness with less noise, or calibrate with cycles under weights",
     ),
     Code.MISFITS_KEPT: _doubtful(
-        "{fault}; no actuator was left out",
-        "{advice}, and gains and positions of the sensors. Compare the balance of held-out modes",
+        "{count} of {n} actuators do not fit the others ({actuators:names actuator}), too many to"
+        " leave out: the matrix is far from symmetric, or its columns from balance",
+        "check X, Y, NZ, the order of rows and columns in STIFFNESS, and gains and positions of the"
+        " sensors. Compare the balance of held-out modes",
     ),
     Code.MANY_MISFITS: _doubtful(
         "{count} of {n} actuators do not fit the others: {actuators:names actuator}",
@@ -393,8 +395,8 @@ ENTRIES: dict[Code, Entry] = {
         "check order, sign and completeness of the matrix, and measure again with less noise",
     ),
     Code.NEGATIVE_MODES_IN_NOISE: _usable(
-        "the matrix has {count:count elastic mode} of negative stiffness, down to {lowest:.3g} N/m,"
-        " which its noise explains",
+        "the noise of the matrix exceeds the stiffness of its softest modes: {count:count elastic"
+        " mode} of negative stiffness, down to {lowest:.3g} N/m",
         "measure again with less noise before you use soft modes",
     ),
     Code.SYMMETRY_NOT_IMPROVED: _doubtful(

@@ -199,7 +199,10 @@ def doubts_of(commanded: Array, alpha: Array, symmetry: Symmetry) -> Iterator[Fi
     """Yield evidence against an (n, n) matrix or its (n,) alpha."""
     negative, by_noise = negative_modes(commanded, alpha)
     if negative.size:
-        beyond = -negative[0] > LIMITS.negative_edges * by_noise
+        own = float(np.median(np.abs(alpha * np.diag(commanded))))
+        # A noise that makes stiff modes negative is no excuse.
+        allowed = min(LIMITS.negative_edges * by_noise, MAX_SENSOR_COST * own)
+        beyond = -negative[0] > allowed
         yield Finding.of(
             Code.NEGATIVE_MODES if beyond else Code.NEGATIVE_MODES_IN_NOISE,
             count=negative.size,

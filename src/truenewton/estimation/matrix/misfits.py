@@ -270,8 +270,12 @@ class BadActuator:
         return REMAINING_FORCES.get(self.reason, 0.0)
 
 
-class FitsNoSymmetry(RankDeficient):
-    """Too many misfits: the bad actuators cannot be identified."""
+class FitsNoSymmetry(Exception):
+    """Too many actuators, by their indices, do not fit; ``certain`` if by their order or sign."""
+
+    def __init__(self, indices: Sequence[int], *, certain: bool) -> None:
+        self.indices, self.certain = indices, certain
+        super().__init__(f"{len(indices)} misfits")
 
 
 def bad_actuators(
@@ -286,9 +290,9 @@ def bad_actuators(
     Raises
     ------
     RankDeficient
-        Many rows or columns have the wrong order or sign.
+        Most rows have the wrong order.
     FitsNoSymmetry
-        There are too many other misfits.
+        There are too many misfits.
     """
     found: dict[int, BadActuator] = {}
     k, a, n = facts.stiffness, facts.arms, len(facts.stiffness)
@@ -297,12 +301,7 @@ def bad_actuators(
         for index, size in sizes:
             found.setdefault(int(index), BadActuator(int(index), reason, float(size)))
         if len(found) > max(2, LIMITS.misfit_fraction * n):
-            certain = reason in (OTHER_ORDER, OTHER_SIGN)
-            raise (RankDeficient if certain else FitsNoSymmetry)(
-                f"{len(found)} of {n} actuators do not fit the others: the matrix is far from"
-                " symmetric, or its columns from balance",
-                remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
-            )
+            raise FitsNoSymmetry(sorted(found), certain=reason in (OTHER_ORDER, OTHER_SIGN))
 
     order = row_order(k)
     moved = np.flatnonzero(order != np.arange(n))

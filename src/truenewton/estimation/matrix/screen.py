@@ -96,7 +96,11 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
             measured = facts if k is facts.stiffness and not off.any() else None
             found, k = _mended(k, a, off, [each.index for each in half], measured)
         except FitsNoSymmetry as error:
-            unsure = (Finding.of(Code.MISFITS_KEPT, fault=error.fault, advice=error.remedy),)
+            names = ids[~off][error.indices]
+            kept = Finding.of(Code.MISFITS_KEPT, count=len(names), n=len(ids), actuators=names)
+            if error.certain:
+                raise RankDeficient(kept.fault, remedy=kept.remedy) from None
+            unsure = (kept,)
     known = {each.index for each in half}
     bad = (*(each for each in found if each.index not in known), *half)
     good, doubt = np.asarray(~off, dtype=np.bool_), np.zeros(len(k))
