@@ -88,6 +88,19 @@ def screened(change: Callable[[Array], Array]) -> Result:
     return Result(tuple(map(finding_line, (*found.effects, *found.warnings))))
 
 
+def rows_shifted() -> tn.Calibration:
+    """Return the result of 15 actuators, too few to judge their order, with rows shifted by one."""
+    layout, random = rings([0.05, 0.1], [5, 10]), np.random.default_rng(1)
+    k = symmetrised(springs(layout, lambda square: square * np.log(square) / (480.0 * np.pi)))
+    k = k / random.uniform(0.9, 1.1, 15)[:, None] * (1 + 2e-4 * random.standard_normal(k.shape))
+    return tn.calibrate(tn.StiffnessMatrix("15", DATE, layout, np.roll(k, 1, axis=0)), "ml")
+
+
+def rested(k: Array) -> Array:
+    """Return a matrix whose columns contain the forces at rest."""
+    return k + 0.05 * np.abs(np.diag(k)).mean() * np.ones((N, 1))
+
+
 def coupled() -> Result:
     """Return what is said of two segments that are joined."""
     random, layout = np.random.default_rng(3), rings([0.05, 0.1], [6, 12])
@@ -120,6 +133,8 @@ small("matrices", {
     "the diagonal too large": mistaken("diagonal 1 % too large", "svd"),
     "rigid motions partly removed": mistaken("50 % of rigid motions removed", "svd"),
     "5 % of asymmetry": by("svd", noise=0.05),
+    "rows shifted": rows_shifted,
+    "forces at rest not subtracted": lambda: screened(rested),
     "interrupted": interrupted,
     "segments that are joined": coupled,
 })  # fmt: skip

@@ -8,6 +8,7 @@ variation of alpha over the mirror as its rms error.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 
@@ -321,11 +322,11 @@ def _no_better_than_uniform(left: ExaminedFit, prior: Prior) -> Iterator[Finding
     error = _relative_error(left)
     if error**2 <= LIMITS.error_share * spread**2:
         return
-    try:
-        pulled = percent(_relative_error(_of_population(left, prior)[0]))
-        instead = f"if you use --population, the typical error is {pulled}. "
-    except (RankDeficient, NotConverged):
-        instead = ""
+    instead = ""
+    with suppress(RankDeficient, NotConverged):
+        pulled = _relative_error(_of_population(left, prior)[0])
+        if pulled < error:
+            instead = f"if you use --population, the typical error is {percent(pulled)}. "
     yield Finding.of(Code.WORSE_THAN_UNIFORM, error=error, spread=spread, instead=instead)
 
 
