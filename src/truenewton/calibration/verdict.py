@@ -295,7 +295,7 @@ def _graver(c: Calibration, about: Collection[Concern]) -> Iterator[Finding]:
 # -- the common scale: its unit, the weights, and their errors ------------------------------------
 
 NO_ERROR = 1e-6  # of the common scale; no weight is known better
-MIN_WEIGHING_ERROR = 1.5e-4  # of a weight: the buoyancy of air, 1.2 kg/m^3, on steel, 8000 kg/m^3
+MIN_WEIGHING_ERROR = 1.5e-5  # of a weight: a tenth of the buoyancy of air on steel
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 OTHER_SCALE_REMEDIES = {  # of errors that neither a better balance nor a better angle lowers
     ErrorKind.COIL_SHIFT: "measure how far the coils move as the mirror leans (COILZ and E_COILZ)",
@@ -383,8 +383,8 @@ def _weights_without_errors(c: Calibration, error: float) -> Iterator[Finding]:
     least = {load.name: MIN_WEIGHING_ERROR * abs(load.added) for load in c.loads}
     exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
     small = [
-        f"E_ADDED of '{load.name}' is {1e3 * load.added_error:.2g} mN, less than the buoyancy of"
-        f" air ({1e3 * least[load.name]:.2g} mN)"
+        f"E_ADDED of '{load.name}' is {1e3 * load.added_error:.2g} mN, less than a tenth of"
+        f" the buoyancy of air ({1e3 * least[load.name]:.2g} mN)"
         for load in c.loads
         if 0.0 < load.added_error < least[load.name]
     ]

@@ -95,10 +95,6 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
         *columns_of_other_rows(campaign, sums.moments),
         *frozen_readings(campaign, prints),
     )
-    by_force = noise_by_force(campaign, prints)
-    if by_force:
-        where = f"{percent(by_force)} of its variance"
-        suspects += (Finding(code=Code.NOISE_BY_FORCE, size=by_force, where=where),)
     clipped = clipped_readings(campaign, prints)
     refusal: TooManyOutliers | None = None
     try:
@@ -118,12 +114,17 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
                 raise refusal
         except TooManyOutliers as error:
             suspects += () if apart else _relabelled(campaign, prints, range(len(campaign)))
+            suspects = suspects or louder_with_force(campaign, prints)
             raise with_suspects(error, suspects + clipped) from None
     lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign))
     valid = np.array([cycle.valid.sum() for cycle in campaign.cycles])
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
     suspects += () if apart else _relabelled(campaign, prints, affected)
-    moments, frozen = replace(sums.moments, by_force=by_force), tuple[Finding, ...]()
+    # Rounding is no normal noise, and files that are not what they claim make noise of their own.
+    louder = () if suspects or np.any(sums.step) else louder_with_force(campaign, prints)
+    suspects += louder
+    moments, frozen = sums.moments, tuple[Finding, ...]()
+    moments = replace(moments, by_force=sum(each.size for each in louder))
     noise = reading_noise(sound, moments)
     if (displacement := sums.displacement()) is not None:
         frozen = tuple(frozen_sensors(campaign))
@@ -131,7 +132,11 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
         moments = replace(moments, displacement=displacement)
     moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
     samples = tuple(sums.samples)
-    unlike = () if suspects else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
+    unlike = (
+        ()
+        if len(suspects) > len(louder)
+        else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
+    )
     left_out = tuple(rejected)
     return ScreenedCampaign(
         campaign,
@@ -146,6 +151,13 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
         unlike,
         frozen,
     )
+
+
+def louder_with_force(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
+    """Return that noise grows with the force, if it does."""
+    share = noise_by_force(campaign, prints)
+    where = f"{percent(share)} of its variance"
+    return (Finding(code=Code.NOISE_BY_FORCE, size=share, where=where),) if share else ()
 
 
 def noise_by_force(campaign: Campaign, prints: RowPrints) -> float:
