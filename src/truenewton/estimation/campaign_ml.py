@@ -303,6 +303,9 @@ def _of_population(left: ExaminedFit, prior: Prior) -> tuple[ExaminedFit, str]:
         problem = replace(problem, prior=with_population(prior, smooth, alpha, spread))
         minimum = problem.fitted(left.moments, minimum.values)
         alpha = minimum.values[:n]
+        if np.median(alpha) <= 0.0:
+            fault = "alpha as a sample of one population is not positive"
+            raise NotConverged(fault, remedy="repeat more often, use larger forces, or add shapes")
     fitted = replace(left, problem=problem, minimum=minimum)
     method = f"ml, population {spread:.2g}"
     return fitted if left.fits or left.explained else _inflated(fitted, left.excess), method
