@@ -10,7 +10,6 @@ from tests.helpers.acquisition_plans import write_shapes
 from truenewton.acquisition.acquire import chosen_bench
 from truenewton.acquisition.folder import Journal
 from truenewton.acquisition.plan import read_plan
-from truenewton.bench.opcua.keys import make_keys
 from truenewton.bench.protocol import Shape
 from truenewton.files.fits import read_fits
 
@@ -50,9 +49,7 @@ drift = {alpha = 3e-3, zero = 1e-5, remounting = 1e-5}
 BENCHES = {
     "plan": '{kind = "simulated", seed = 1, force_noise = 1e-4, fidelity = "static"}',
     "loop": '{kind = "simulated", seed = 1, force_noise = 1e-4, fidelity = "loop"}',
-    "away": '{kind = "opcua", address = "opc.tcp://127.0.0.1:9", user = "operator", password_file ='
-    ' "keys/password.txt", certificate = "keys/client.der", private_key = "keys/client-key.pem",'
-    ' server_certificate = "keys/server.der"}',
+    "away": '{kind = "python", address = "away:Bench"}',
 }
 
 
@@ -78,7 +75,6 @@ def make_sound(at: Path) -> None:
         ("ecsv", "mirror.toml", "table.toml"),
     ):
         (at / f"{name}.toml").write_text(f"{PLAN.replace(old, new)}bench = {BENCHES['plan']}\n")
-    make_keys(at / "keys")
     days = [
         f"simulate mirror.toml -o d{k} --cycles 2 --seed 1 --temperature {15 + 4 * k}"
         for k in range(4)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -42,10 +41,8 @@ from truenewton.acquisition.taker import (
     sum_error,
 )
 from truenewton.arrays import Array
-from truenewton.bench.opcua import connect
-from truenewton.bench.opticalib import from_address
-from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
-from truenewton.bench.simulated.bench import SimulatedBench
+from truenewton.bench.choice import BENCH_KINDS, Order
+from truenewton.bench.protocol import Bench, Operator, Shape, faults_of, gradients_of
 from truenewton.bench.simulated.static import seed_of
 from truenewton.errors import (
     BenchFault,
@@ -62,7 +59,7 @@ from truenewton.records.file import cycle_name, write_cycle
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
-SEGMENT = "{segment}"  # in address and keys: its number, since each has its own control unit
+SEGMENT = "{segment}"  # in an address: its number, since each has its own control unit
 MAX_INVALID_IN_A_ROW = 5  # so many shapes that are not valid, one after another, end a run
 MAX_INVALID_AT_END = 3  # the same at the end of a cycle, which would else be complete
 MAX_REQUESTS = 3  # times for a load that is not on
@@ -85,7 +82,7 @@ def acquire(
     Parameters
     ----------
     bench
-        Hardware, a server or a simulation.
+        Hardware or a simulation.
     plan
         The campaign. If it is resumed, the plan must be equal to the copy in the folder.
     folder
@@ -119,7 +116,8 @@ def acquire(
     >>> [file.name for file in tn.acquire(tn.SimulatedBench(tn.mirrors.p45()), plan, "one-cycle")]
     ['bare-001.fits']
     """
-    mirror, layout = _agreed(bench, plan, beside)
+    with faults_of(f"{type(bench).__name__} with its instrument, layout, gap or gradients"):
+        mirror, layout = _agreed(bench, plan, beside)
     operator = operator or bench  # type: ignore[assignment]
     if not isinstance(operator, Operator):
         raise BenchFault("no operator puts the loads on", remedy="give an operator")
@@ -163,31 +161,15 @@ def _agreed(
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
-    """Return the bench of a plan; files that the plan names are relative to ``beside``."""
-    choice = plan.bench
-    if choice.kind == "simulated":
-        return simulated_bench(plan, beside)
-    mirror, _ = planned_mirror(plan, beside)  # refuses a missing segment before any connection
+    """Return the bench of a plan; files that the plan names are relative to ``beside``.
+
+    The truth of a simulated one depends on seed and segment only.
+    """
+    choice, mirror = plan.bench, planned_mirror(plan, beside)[0]
     if plan.segment:
-        given, number = vars(choice).items(), str(plan.segment)
-        texts: dict[str, Any] = {k: text.replace(SEGMENT, number) for k, text in given
-                                 if isinstance(text, str)}  # fmt: skip
-        choice = replace(choice, **texts)
-    if choice.kind == "opticalib":
-        return from_address(choice.address, mirror, beside)
-    return connect(choice, beside)
-
-
-def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> SimulatedBench:
-    """Return the simulated bench of a plan; its truth depends on seed and segment only."""
-    seed = plan.bench.seed
-    return SimulatedBench(
-        planned_mirror(plan, beside)[0],
-        seed_of(seed, plan.segment) if plan.segment else seed,
-        loads=plan.loads,
-        force_noise=plan.bench.force_noise,
-        fidelity=plan.bench.fidelity,
-    )
+        address = choice.address.replace(SEGMENT, str(plan.segment))
+        choice = replace(choice, address=address, seed=seed_of(choice.seed, plan.segment))
+    return BENCH_KINDS[choice.kind][0](Order(choice, mirror, plan.loads, beside))
 
 
 @dataclass(eq=False)
@@ -240,7 +222,8 @@ class Run(Taker):
             with suppress(OutputFailed):  # a full disk must not keep the mirror from its rest
                 log.note("stop", error=type(error).__name__, why=str(error))
             try:
-                bench.rest()
+                with faults_of(f"{self._name}.rest"):
+                    bench.rest()
             except BenchFault as fault:
                 with suppress(OutputFailed):
                     log.note("not at rest", fault=fault.fault)
@@ -289,7 +272,8 @@ class Run(Taker):
         ask = not again or self.operator is bench
         for _ in range(MAX_REQUESTS):
             if ask:
-                with self.interruption.at_once():
+                who = type(self.operator).__name__
+                with faults_of(f"{who}.put_on"), self.interruption.at_once():
                     self.operator.put_on(load)
             reading, fault = self.take(rest)
             if reading is None or fault:
@@ -341,7 +325,7 @@ class Run(Taker):
     def _take_shape(self, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
         """Take one shape into the journal; return its forces [N] if they are valid."""
 
-        def put_on_again(why: str) -> None:  # as after a server was restarted
+        def put_on_again(why: str) -> None:  # as after its electronics were restarted
             self.log.note("load again", shape, why=why)
             self.onlooker.say(
                 f"the bench refuses a shape ({why}): it may have lost its load; '{shape.load.name}'"

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from truenewton.acquisition.plan import CampaignPlan, MirrorLimits
 from truenewton.arrays import Array, jsonable, rms
-from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape
+from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape, faults_of
 from truenewton.errors import BenchFault, Interrupted, LimitExceeded
 from truenewton.files.outputs import in_one_line
 from truenewton.mirrors.known import Mirror
@@ -334,6 +334,7 @@ class Taker:
 
     def __post_init__(self) -> None:
         plan, bench = self.plan, self.bench
+        self._name = type(bench).__name__
         self.guard = Guard(plan.limits, bench.layout, bench.gap)
         first = Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n))
         self.progress = Progress(first, plan.cycles, smallest_gap=bench.gap)
@@ -361,7 +362,8 @@ class Taker:
             commanded = False
             try:
                 self.log.note("command", shape, stroke=float(np.abs(shape.position).max()))
-                self.bench.command(shape)
+                with faults_of(f"{self._name}.command"):
+                    self.bench.command(shape)
                 commanded = True
                 reading = self._read(shape)
             except BenchFault as error:
@@ -386,7 +388,8 @@ class Taker:
         for attempt in range(1, MAX_ATTEMPTS + 1):
             self._await_bench()
             try:
-                self.bench.rest()
+                with faults_of(f"{self._name}.rest"):
+                    self.bench.rest()
             except BenchFault as error:
                 self.log.note("not at rest", attempt=attempt, fault=error.fault)
                 if attempt == MAX_ATTEMPTS:
@@ -396,18 +399,20 @@ class Taker:
 
     def _read(self, shape: Shape) -> Reading:
         plan, bench = self.plan, self.bench
-        if isinstance(bench, OwnTime):
-            bench.wait(plan.settling)
-        else:
-            time.sleep(plan.settling)
-        reading, n, on = bench.read(plan.samples), bench.layout.n, bench.layout.enabled
-        for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
-            value = getattr(reading, name)
-            if value is not None and value.shape != (n,):
-                raise BenchFault(
-                    f"the bench gives {name} of shape {value.shape} for {n} actuators",
-                    remedy="give one value for each, NaN where it is unknown",
-                )
+        n, on = bench.layout.n, bench.layout.enabled
+        with faults_of(f"{self._name}.read"):
+            if isinstance(bench, OwnTime):
+                bench.wait(plan.settling)
+            else:
+                time.sleep(plan.settling)
+            reading = bench.read(plan.samples)
+            for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
+                value = getattr(reading, name)
+                if value is not None and value.shape != (n,):
+                    raise BenchFault(
+                        f"the bench gives {name} of shape {value.shape} for {n} actuators",
+                        remedy="give one value for each, NaN where it is unknown",
+                    )
         force = float(np.nan_to_num(np.abs(reading.force[on])).max(initial=0.0))
         gap = bench.gap - float(np.nan_to_num(np.abs(reading.position[on])).max(initial=0.0))
         self.progress = replace(
@@ -481,19 +486,19 @@ class Taker:
         gone, wait, start = "", FIRST_WAIT, time.monotonic()
         while True:
             try:
-                status = self.bench.status()
+                with faults_of(f"{self._name}.status"):
+                    status = self.bench.status()
+                    ready, message, counter = status.ready, status.message, status.counter
             except BenchFault as error:
                 gone = error.fault
             else:
-                if status.ready:
+                if ready:
                     if self._counter is None:
-                        self._counter = status.counter
+                        self._counter = counter
                     return
                 if not gone:
-                    raise BenchFault(
-                        f"the bench takes no commands: {status.message}", remedy="check it"
-                    )
-                gone = status.message
+                    raise BenchFault(f"the bench takes no commands: {message}", remedy="check it")
+                gone = message
             if time.monotonic() - start > MAX_ABSENCE:
                 raise BenchFault(
                     f"the bench did not come back within {MAX_ABSENCE:g} s ({gone})",
