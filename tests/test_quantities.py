@@ -13,7 +13,7 @@ from astropy.table import QTable, Table
 import truenewton as tn
 from truenewton.acquisition.plan import AssumedDrift, MirrorLimits, PlannedShapes
 from truenewton.arrays import freeze
-from truenewton.bench.protocol import BenchChoice
+from truenewton.bench.choice import BenchChoice
 from truenewton.errors import FormatError, GeometryError
 from truenewton.files.format import FileFormat, ImageFormat, TableFormat
 from truenewton.mirrors.glass import Annulus, Shell

@@ -28,7 +28,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.acquisition.plan import MirrorLimits as MirrorLimits
     from truenewton.acquisition.plan import PlannedShapes as PlannedShapes
     from truenewton.acquisition.plan import read_plan as read_plan
-    from truenewton.bench.opcua import connect as connect
     from truenewton.bench.opticalib import OpticalibMirror as OpticalibMirror
     from truenewton.bench.protocol import Reading as Reading
     from truenewton.bench.protocol import Shape as Shape
@@ -103,7 +102,6 @@ _NAMES = {
         "PlannedShapes",
         "read_plan",
     ],
-    "bench.opcua": ["connect"],
     "bench.opticalib": ["OpticalibMirror"],
     "bench.protocol": ["Reading", "Shape", "Status"],
     "bench.simulated.bench": ["SimulatedBench"],

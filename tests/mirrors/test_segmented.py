@@ -1,10 +1,8 @@
 """Mirrors in segments: those that are known, those of files, and their simulation."""
 
-import contextlib
 import json
 import re
-import shutil
-import signal
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +11,9 @@ from scipy.spatial import cKDTree
 
 import truenewton as tn
 from helpers.json_output import checked
-from helpers.opcua_server import behind, free_port
 from truenewton.acquisition.acquire import chosen_bench
-from truenewton.bench.opcua import server
-from truenewton.bench.protocol import BenchChoice
-from truenewton.bench.simulated.static import bench_of, campaign_on, seed_of, static_bench, truth_of
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.simulated.static import bench_of, campaign_on, static_bench, truth_of
 from truenewton.calibration.methods import seen_of
 from truenewton.errors import FormatError
 from truenewton.mirrors.file import check_mirror, mirror_from, whole_mirror_from
@@ -153,7 +149,7 @@ def test_parts_that_do_not_go_together(inside, tiny):
     assert "segment DISC has NZ other than 1" in inside("simulate", tiny, "-o", folder)[2]
 
 
-@pytest.mark.parametrize("command", ["serve", "prove", "simulate --fidelity loop -o c"])
+@pytest.mark.parametrize("command", ["prove", "simulate --fidelity loop -o c"])
 def test_what_takes_no_segments_says_so(inside, tiny, monkeypatch, command):
     monkeypatch.chdir(tiny.parent)
     name, *more = command.split()
@@ -225,42 +221,33 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     assert "was begun with another plan: -segment = 1, +segment = 3" in error
 
 
-def test_a_segment_is_served_and_acquired_at_its_address(inside, tiny, keys_folder, monkeypatch):
-    """As each has a control unit of its own: its number stands in the address and the key files."""
-    port, benches = free_port(), []
-    while not (digits := set(str(port)) & set("123")):
-        port = free_port()
-    number = int(min(digits))
+CONTROL = """
+import truenewton as tn
 
-    @contextlib.asynccontextmanager
-    async def until_stopped(bench, keys, at):
-        benches.append(bench)
-        signal.raise_signal(signal.SIGINT)  # as Ctrl-C once it is served
-        yield f"opc.tcp://127.0.0.1:{at}"
+def unit(seed):
+    return lambda mirror: tn.SimulatedBench(mirror, seed)
 
-    monkeypatch.setattr(server, "serving", until_stopped)
-    keys = tiny.with_name(f"keys-{number}")
-    shutil.copytree(keys_folder, keys)
-    served = ("serve", tiny, "--keys", keys, "--port", port, "--seed", 7, "--segment")
-    code, printed, error = inside(*served, number)
-    assert code == 0, error
-    assert printed.startswith(f"the simulated bench of TINY segment {number}, ")
-    code, _, error = inside(*served, 4)
-    assert code == 2
-    assert "there is no segment 4; choose 1, 2, 3" in error
+unit1, unit2, unit3 = map(unit, (71, 72, 73))
+"""
 
-    bench = printed[printed.index("[bench]") :].replace(keys.name, "keys-{segment}")
-    bench = bench.replace(str(port), str(port).replace(str(number), "{segment}"))
+
+def test_a_segment_is_acquired_at_its_own_address(inside, tiny, monkeypatch):
+    """As each has a control unit of its own: its number stands in the address."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    tiny.with_name("control_of_tiny.py").write_text(CONTROL)
     text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
     text = re.sub("(?m)^cycles = .*$", "cycles = 1", re.sub("(?m)^settling = .*$", "", text))
-    plan, folder = tiny.with_name("plan.toml"), tiny.with_name("served")
+    bench = '[bench]\nkind = "python"\naddress = "control_of_tiny:unit{segment}"\n'
+    plan, folder = tiny.with_name("plan.toml"), tiny.with_name("second")
     plan.write_text("settling = 0.0\n" + text.split("[bench]")[0] + bench)
-    with behind(benches[0], keys, port):
-        code, _, error = inside("acquire", plan, "--segment", number, "-o", folder, "--yes")
+    code, _, error = inside("acquire", plan, "--segment", 4, "-o", folder, "--yes")
+    assert code == 2
+    assert "there is no segment 4; choose 1, 2, 3" in error
+    code, _, error = inside("acquire", plan, "--segment", 2, "-o", folder, "--yes")
     assert code == 0, error
     whole, found = whole_mirror_from(tiny), tn.calibrate(tn.read(folder))
-    assert found.layout.same_as(whole.layout.part(whole.layout.segment == number))
-    truth = static_bench(whole.segments[number - 1], seed_of(7, number)).truth
+    assert found.layout.same_as(whole.layout.part(whole.layout.segment == 2))
+    truth = static_bench(whole.segments[1], 72).truth
     assert np.abs((found.alpha - truth.alpha) / found.error).max() < 4.5
 
 

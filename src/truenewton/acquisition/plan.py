@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.bench.protocol import BENCH_KINDS, MAX_SAMPLES, BenchChoice, foreign_keys
+from truenewton.bench.choice import BENCH_KINDS, BenchChoice, foreign_keys
+from truenewton.bench.protocol import MAX_SAMPLES
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.fits import read_fits
 from truenewton.files.toml import filled, read_toml

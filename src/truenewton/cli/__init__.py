@@ -7,7 +7,7 @@ terminal   results in a terminal: lines, JSON, progress
 take       plan, acquire, import
 calibrate  info, calibrate, recalibrate, compare, track
 use        report, figures, modes, export
-simulate   demo, simulate, serve, prove, mirrors
+simulate   demo, simulate, prove, mirrors
 """
 
 from truenewton.cli.main import main

@@ -50,7 +50,6 @@ GROUPS = {  # of --help, each with its commands and an example of each
     },
     "Simulate": {
         "simulate": "truenewton simulate p45 -o campaign/ --cycles 4",
-        "serve": "truenewton serve p45 -o keys/",
         "prove": "truenewton prove p45 --seeds 20",
         "mirrors": "truenewton mirrors p45 --plot",
     },

@@ -95,7 +95,7 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
     if isinstance(whole, SegmentedMirror):
         raise FormatError(
             f"'{name}' is a mirror in segments",
-            remedy="give the file of one segment; `acquire` and `serve` accept --segment",
+            remedy="give the file of one segment; `acquire` accepts --segment",
         )
     return whole
 
