@@ -11,7 +11,7 @@ import pytest
 from astropy.table import QTable, Table
 
 import truenewton as tn
-from truenewton.acquisition.plan import AssumedDrift, MirrorLimits, PlannedShapes
+from truenewton.acquisition.plan import MirrorLimits, PlannedShapes
 from truenewton.arrays import freeze
 from truenewton.bench.choice import BenchChoice
 from truenewton.errors import FormatError, GeometryError
@@ -92,7 +92,6 @@ PLANNED = {
     MirrorLimits(): {
         "force": "N", "saturation": "N", "displacement": "m", "gap": "m", "temperature": "deg_C",
     },
-    AssumedDrift(): {"alpha": "", "zero": "N", "remounting": "N"},
     tn.CampaignPlan("p45", (tn.Load("bare"), LOAD)): {
         "settling": "s", "pause": "s", "force_noise": "N",
     },

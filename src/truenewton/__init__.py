@@ -23,7 +23,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton import errors as errors
     from truenewton import mirrors as mirrors
     from truenewton.acquisition.acquire import acquire as acquire
-    from truenewton.acquisition.plan import AssumedDrift as AssumedDrift
     from truenewton.acquisition.plan import CampaignPlan as CampaignPlan
     from truenewton.acquisition.plan import MirrorLimits as MirrorLimits
     from truenewton.acquisition.plan import PlannedShapes as PlannedShapes
@@ -96,7 +95,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
 _NAMES = {
     "acquisition.acquire": ["acquire"],
     "acquisition.plan": [
-        "AssumedDrift",
         "CampaignPlan",
         "MirrorLimits",
         "PlannedShapes",

@@ -184,54 +184,6 @@ def test_each_segment_is_recalibrated_as_if_alone(after, days):
     assert ratio[~new] == pytest.approx(1.0, abs=0.01)
 
 
-def with_positions(data):
-    """Return data whose readings follow from the forces by one stiffness, and that stiffness."""
-    layout, random = data.layout, np.random.default_rng(7)
-    k = np.where(layout.segment[:, None] == layout.segment, random.normal(0.0, 1e4, (42, 42)), 0.0)
-    k += np.diag(random.uniform(0.9e5, 1.1e5, 42))
-    made = [replace(c, position=np.linalg.solve(k, np.asarray(c.force).T).T) for c in data.cycles]
-    return replace(data, cycles=tuple(made)), k
-
-
-def with_noise(data, seed, factor=1.0):
-    """Return data with noise of 0.01 mN, and (42,) factors of alpha in the order of the layout."""
-    random = np.random.default_rng(seed)
-    made = [
-        replace(c, force=c.force / factor + 1e-5 * random.standard_normal(c.force.shape))
-        for c in data.cycles
-    ]
-    return replace(data, cycles=tuple(made))
-
-
-def test_each_segment_is_recalibrated_by_its_reference_as_if_alone(days, after, inside, tmp_path):
-    earlier, k = with_positions(day(60, 17.0))
-    bare = replace(after, cycles=day(90, 17.0).cycles[: len(after.cycles)])
-    new = bare.layout.id == 105
-    run = with_noise(with_positions(bare)[0], 1, np.where(new, 0.8, 1.0))
-    noisy = k + (k != 0.0) * np.random.default_rng(3).standard_normal(k.shape)
-    matrix = tn.StiffnessMatrix(run.instrument, run.cycles[0].date, run.layout, noisy)
-    for reference in (with_noise(earlier, 2), tn.SegmentedData(stiffness=matrix)):
-        made = tn.recalibrate(run, days[2], [105], reference=reference)
-        ratio = made.column("calibration.alpha") / days[2].column("alpha")
-        assert ratio == pytest.approx(np.where(new, 0.8, 1.0), abs=2e-4)
-        for number in (1, 2, 3):
-            named, of_one = [105] if number == 1 else [], reference.part(number)
-            alone = tn.recalibrate(run.part(number), days[2], named, reference=of_one)
-            assert np.array_equal(made.part(number).calibration.alpha, alone.calibration.alpha)
-            assert made.part(number).probability > 1e-4
-            assert made.part(number).moved == ()
-    write_campaign(run.cycles, tmp_path / "after")
-    days[2].write(tmp_path / "known.fits")
-    tn.write_stiffness(matrix, tmp_path / "k.fits")
-    tn.write_stiffness(reference.part(1), tmp_path / "one.fits")
-    words = ("recalibrate", tmp_path / "after", "--known", tmp_path / "known.fits",
-             "--actuators", 105, "--reference")  # fmt: skip
-    assert inside(*words, tmp_path / "k.fits")[0] == 0
-    assert inside(*words, tmp_path / "one.fits", "--segment", 1)[0] == 0
-    _, _, wrong = inside(*words, tmp_path / "one.fits")
-    assert "one.fits: is of one body, and the run has 3 segments; choose the segment" in wrong
-
-
 def test_the_command_recalibrates_by_a_law_of_all_segments(after, files, days, inside, tmp_path):
     write_campaign(after.cycles, tmp_path / "after")
     tn.track(without(days[0], 3), *days[1:]).write(tmp_path / "law.fits")

@@ -118,7 +118,7 @@ def acquire(
     if not isinstance(operator, Operator):
         raise BenchFault("no operator puts the loads on", remedy="give an operator")
     with Interruption() as interruption, locked(folder) as folder:
-        plan, shapes = begin_or_resume(folder, plan, mirror, beside)
+        shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
         complete = finished_cycles(folder, plan, mirror, layout, 2 * len(shapes))
         files = tuple(folder / name for name in cycle_names(plan))

@@ -13,14 +13,13 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 from filelock import FileLock, Timeout
 
-from truenewton.acquisition.load_order import with_turns
 from truenewton.acquisition.plan import CampaignPlan, read_plan, shapes_and_forces
 from truenewton.acquisition.taker import Row, force_noise, mean_sum
 from truenewton.arrays import Array, rms
@@ -130,11 +129,11 @@ def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
 
 def begin_or_resume(
     folder: Path, plan: CampaignPlan, mirror: Mirror, beside: str | os.PathLike[str]
-) -> tuple[CampaignPlan, Array]:
-    """Return plan and (shapes, n) displacements [m], as kept in the folder by the first run.
+) -> Array:
+    """Return (shapes, n) displacements [m], as kept in the folder by the first run.
 
-    The first run chooses turns that the plan leaves open. Shapes are not computed again, because
-    modes of one stiffness may differ on another machine. Another plan is a `CampaignMismatch`.
+    Shapes are not computed again, because modes of one stiffness may differ on another machine.
+    Another plan is a `CampaignMismatch`.
     """
     half_written = tuple(f".{name}." for name in (PLAN, SHAPES, *cycle_names(plan)))
     with in_one_line(folder):  # by a run that was killed: this one has the lock of the folder
@@ -142,25 +141,18 @@ def begin_or_resume(
             shutil.rmtree(path)
     if (folder / PLAN).exists():
         refuse_other_plan(folder, plan, beside)
-        shapes = read_fits(folder / SHAPES).pixels("SHAPES", "m")
-        return _with_turns_begun(plan, read_plan(folder / PLAN)), shapes
+        return read_fits(folder / SHAPES).pixels("SHAPES", "m")
     if any(path.name.endswith(SUFFIXES) for path in folder.iterdir()):
         raise OutputExists(
             f"contains FITS files but no {PLAN}", remedy="choose another name", path=folder
         )
     shapes = shapes_and_forces(plan, mirror, beside)[0]
-    plan = with_turns(plan, mirror, len(shapes))
     write_fits(folder / SHAPES, SHAPES_FORMAT, shapes, overwrite=True)
     with file_beside(folder / PLAN) as temporary:  # last: with it the campaign has begun
         temporary.write_text(_plan_text(plan, beside), encoding="utf-8")
     with in_one_line(folder):
         to_disk(folder)
-    return plan, shapes
-
-
-def _with_turns_begun(plan: CampaignPlan, begun: CampaignPlan) -> CampaignPlan:
-    """Return a plan that leaves its turns open with those of the plan of its folder."""
-    return plan if plan.turns else replace(plan, turns=begun.turns)
+    return shapes
 
 
 def refuse_other_plan(
@@ -168,12 +160,11 @@ def refuse_other_plan(
 ) -> None:
     """Refuse a plan that is not the one a folder was begun with, and show the difference."""
     path = Path(folder) / PLAN
-    begun_plan = read_plan(path)
     digests = [line for line in read_text(path).splitlines()
                if line.startswith("#") and not line.startswith(f"# {SHAPES}")]  # fmt: skip
     # As this version writes it, defaults included.
-    begun = [*digests, *toml_text(begun_plan).splitlines()]
-    wanted = _plan_text(_with_turns_begun(plan, begun_plan), beside).splitlines()
+    begun = [*digests, *toml_text(read_plan(path)).splitlines()]
+    wanted = _plan_text(plan, beside).splitlines()
     if begun == wanted:
         return
     lines = list(difflib.unified_diff(begun, wanted, n=0, lineterm=""))

@@ -140,11 +140,6 @@ def run_recalibrate(
         "--actuators",
         help="IDs of the replaced actuators, such as 17,18; or auto, to find what changed.",
     ),
-    reference: Path | None = typer.Option(
-        None,
-        help="Campaign with POSITION, or stiffness file, from before the change. It reduces the"
-        " errors.",
-    ),
     output: Path | None = options.output("Calibration file to write."),
     segment: int | None = options.SEGMENT,
     anyway: bool = options.ANYWAY,
@@ -170,7 +165,7 @@ def run_recalibrate(
     with busy("recalibrating"), about(paths):
         data = read_chosen(*paths, segment=segment)
         new = data.layout.ids_of(ids)
-        made = recalibrate(data, known, new, reference=reference, accept_rejected=anyway)
+        made = recalibrate(data, known, new, accept_rejected=anyway)
         of_one = attrgetter("calibration")
         found = made.map(of_one) if has_parts(made) else of_one(made)
         calibration = usable(found, accept_rejected=anyway)

@@ -17,7 +17,6 @@ tracking does it from days (`tracking.lines`); the prior is then
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -57,7 +56,7 @@ from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive, mirrored
-from truenewton.reading import holds_alpha, read, read_alpha, select_segment
+from truenewton.reading import read_alpha, select_segment
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Source
 from truenewton.records.parts import (
@@ -67,7 +66,6 @@ from truenewton.records.parts import (
     has_parts,
     refuse_other_mirror,
 )
-from truenewton.records.reader import Measured
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.law import TRACKINGS, Tracking
@@ -76,7 +74,6 @@ from truenewton.tracking.lines import Scatter, estimate_scatter
 Known = Calibration | Tracking
 KnownOfSegments = Parts[Calibration] | Parts[Tracking]
 AnyKnown = Known | KnownOfSegments | str | os.PathLike[str]
-AnyReference = Measured | str | os.PathLike[str]
 EARLIER = ErrorSource(ErrorKind.EARLIER)
 
 
@@ -139,16 +136,11 @@ def prior_from(
     return PriorCalibration(name, alpha, covariance, scale, uneven, temperature, verdict, **further)
 
 
-def known_for(
-    known: Any, run: Campaign | InParts[Any], reader: Callable[[Any], Any] | None = None
-) -> tuple[str, Any]:
-    """Return the name and what is known from before a run, of one body or of all segments.
-
-    Paths are read by ``reader``, by default as an earlier calibration.
-    """
+def known_for(known: Any, run: Campaign | InParts[Any]) -> tuple[str, Any]:
+    """Return the name and what is known from before a run, of one body or of all segments."""
     name, given = "what is known from before", known
     if isinstance(known, str | os.PathLike):
-        name, given = os.fspath(known), (reader or read_known)(known)
+        name, given = os.fspath(known), read_known(known)
     if has_parts(run) and not has_parts(given):
         raise FormatError(
             f"is of one body, and the run has {len(run.numbers)} segments",
@@ -170,18 +162,6 @@ def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
             law: Tracking | Parts[Tracking] = body_or_parts_from(file, TRACKINGS)
             return law
     return read_alpha(path)
-
-
-def read_reference(path: str | os.PathLike[str]) -> Any:
-    """Read a campaign or a stiffness matrix, of one body or of several segments."""
-    given = read(path)
-    if holds_alpha(given):
-        raise FormatError(
-            "is a calibration, not a campaign or a stiffness matrix",
-            remedy="give the data from before the change as the reference",
-            path=path,
-        )
-    return given
 
 
 def _verdict_on_days(tracking: Tracking, *, accept_rejected: bool, path: str) -> Verdict:
