@@ -2,7 +2,6 @@
 
 import dataclasses
 import datetime
-import gzip
 import hashlib
 import warnings
 
@@ -391,13 +390,6 @@ def test_degrees_of_freedom_may_be_a_float(tiny, tmp_path):
     for name in ("CHECKSUM", "DATASUM"):
         fits.delval(path, name)
     assert read(path).degrees_of_freedom == dof
-
-
-def test_a_worker_refuses_a_gzipped_file_of_which_it_cannot_read_parts(p45_folder, tmp_path):
-    packed = tmp_path / "bare-001.fits.gz"
-    packed.write_bytes(gzip.compress((p45_folder / "bare-001.fits").read_bytes()))
-    with pytest.raises(FormatError, match=r"^there\.fits\.gz: is gzipped"):
-        reader.open_by_worker((str(packed), "there.fits.gz")).require_cycle()
 
 
 def test_a_path_paths_and_cycles_are_calibrated_as_the_campaign(p45_folder, tmp_path):

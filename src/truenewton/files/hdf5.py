@@ -26,7 +26,6 @@ from truenewton.files.stored_rows import StoredRows, runs, state_of
 SUFFIXES = (".h5", ".hdf5")
 MAGIC = b"\x89HDF\r\n\x1a\n"
 CHUNK_BYTES = 2**20
-STREAM = "SAMPLES"  # the table whose rows stay in their file, however few
 UNITS = ("unit", "units", "UNIT", "UNITS")
 
 
@@ -81,7 +80,7 @@ def is_hdf5(path: str | os.PathLike[str]) -> bool:
 
 
 def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read an HDF5 file; if not whole, vector columns are left in it; those of SAMPLES always."""
+    """Read an HDF5 file; if not whole, vector columns are left in it."""
     with naming(path):
         return _read(os.fspath(path), whole=whole)
 
@@ -125,7 +124,7 @@ def _refuse_links(h5py: Any, group: Any, name: str) -> None:
 def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: bool) -> Table:
     """Read a group; if not ``whole``, its vectors stay in the file."""
     columns: dict[str, tuple[NDArray[Any] | StoredRows, str]] = {}
-    table, rows = group.name.strip("/").upper(), None
+    table, rows = group.name.strip("/"), None
     for name in group:
         _refuse_links(h5py, group, name)
         dataset = group[name]
@@ -138,7 +137,7 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
             )
         rows = len(dataset)
         vectors = dataset.ndim == 2 and dataset.dtype.kind in "fiu"
-        stay = vectors and (table == STREAM or not whole)
+        stay = vectors and not whole
         columns[name.upper()] = (
             Hdf5Rows(
                 path, state, 0, 0, dataset.shape, dataset.dtype.newbyteorder("="),
