@@ -15,8 +15,6 @@ from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.files.content import PRIMARY, FitsFile
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
-from truenewton.files.hdf5 import SUFFIXES as HDF5
-from truenewton.files.hdf5 import is_hdf5, read_hdf5, write_hdf5
 from truenewton.files.outputs import folder_beside
 from truenewton.records.cycle import Cycle, Segment, Source, check_segments, sums_of
 from truenewton.records.stiffness_matrix import StiffnessMatrix, StoredAs
@@ -124,8 +122,8 @@ SOURCES = TableFormat(
 
 
 def read_file(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS or HDF5 file; if not whole, vector columns stay on disk."""
-    return (read_hdf5 if is_hdf5(path) else read_fits)(path, whole=whole)
+    """Read a FITS file; if not whole, vector columns stay on disk."""
+    return read_fits(path, whole=whole)
 
 
 def layout_from(file: FitsFile) -> Layout:
@@ -195,7 +193,7 @@ def stiffness_from(file: FitsFile) -> StiffnessMatrix:
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return files, and the FITS and HDF5 files of folders, sorted by name in each folder."""
+    """Return files, and the FITS files of folders, sorted by name in each folder."""
     files: list[Path] = []
     for path in map(Path, paths):
         try:
@@ -205,7 +203,7 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
                 f"cannot be read ({error.strerror})", remedy="check its permissions", path=path
             ) from error
         if path.is_dir():
-            inside = [p for p in inside if p.name.endswith(SUFFIXES + HDF5) and p.name[0] != "."]
+            inside = [p for p in inside if p.name.endswith(SUFFIXES) and p.name[0] != "."]
             deeper = () if inside else ("*/", "*/*/")
             if any(any(path.glob(f"{at}{FOREIGN_MATRIX}")) for at in ("", *deeper)):
                 command = shlex.join(["truenewton", "import", str(path), "-o", "matrix.fits"])
@@ -216,16 +214,16 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
                 )
         if not inside:
             remedy = (
-                "give the folder of a campaign, whose files end in .fits, .fits.gz or .h5; to"
+                "give the folder of a campaign, whose files end in .fits or .fits.gz; to"
                 " convert your own files, see `truenewton import --example`"
             )
-            raise UnreadableFile("contains no FITS or HDF5 files", remedy=remedy, path=path)
+            raise UnreadableFile("contains no FITS files", remedy=remedy, path=path)
         files += inside
     return list({os.path.realpath(p): p for p in files}.values())
 
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a cycle file; HDF5 if the name ends in .h5 or .hdf5.
+    """Write a cycle file.
 
     Parameters
     ----------
@@ -246,8 +244,7 @@ def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool =
     >>> tn.read_campaign("bare.fits")
     <Campaign of P45: 45 actuators, 1 cycle under bare>
     """
-    write = write_hdf5 if os.fspath(path).lower().endswith(HDF5) else write_fits
-    write(path, SEGMENTED_CYCLE if cycle.segments else CYCLE, cycle, overwrite=overwrite)
+    write_fits(path, SEGMENTED_CYCLE if cycle.segments else CYCLE, cycle, overwrite=overwrite)
 
 
 def cycle_name(load: Load, number: int) -> str:
