@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 
@@ -10,6 +11,7 @@ import truenewton as tn
 from helpers.balanced import START
 from helpers.thresholds import below_and_above, outcome
 from truenewton.bench.simulated.static import static_bench
+from truenewton.comparison import compare
 from truenewton.comparison.compare import _refuse_processed
 from truenewton.comparison.fit import fit_pair
 from truenewton.comparison.pairing import _common, _order, rough_residual
@@ -107,6 +109,14 @@ def different_by(residual):
     return processed(old + residual / unit * noise)
 
 
+def spread_of_factors(ratio):
+    """Relative to the spread with one matrix transposed."""
+    factors = np.stack([np.arange(45.0), np.arange(45.0)]), np.ones((2, 45))
+    both = [(ratio * factors[0], factors[1]), factors]
+    with mock.patch.object(compare, "rough_factors", side_effect=both):
+        return processed(noisy(2)[1])
+
+
 def modes_left_out(count, size):
     """The softest modes have a singular value relative to the noise."""
     _, old = noisy(1)
@@ -141,6 +151,7 @@ CASES = [
     ("MIN_COMMON_FRACTION", common_actuators, 22, "refused", 23, "accepted"),
     ("DERIVED_NOISE", different_by, 0.9e-6, "refused", 1.1e-6, "accepted"),
     ("MAX_RESIDUAL", different_by, 0.09, "accepted", 0.11, "refused"),
+    ("TRANSPOSED_SPREAD_RATIO", spread_of_factors, 2.9, "accepted", 3.1, "refused"),
     ("MAX_EMPTY_MODE", lambda x: modes_left_out(4, x), 0.9e-3, "refused", 1.1e-3, "accepted"),
     ("MIN_MISSING_MODES", lambda k: modes_left_out(k, 0.0), 3, "accepted", 4, "refused"),
     ("MAX_CHANGED_COUPLINGS", changed_couplings, 4, True, 5, False),

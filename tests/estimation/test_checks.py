@@ -51,6 +51,17 @@ def test_full_and_partial_copies_are_reported(noise):
     assert not any("copy" in text for text in messages(p45(0.0, 4)))
 
 
+@pytest.mark.parametrize("noise", NOISE)
+@pytest.mark.parametrize("rounded", [np.float32, lambda force: np.round(force, 5)])
+def test_a_copy_in_other_digits_is_reported(noise, rounded):
+    """It was an unknown force, or a misfit, or nothing."""
+    files = p45(noise, 3)
+    copy = np.array(rounded(np.asarray(files[0].force)), dtype=float)
+    check([files[0], replace(files[1], force=copy), *files[2:]], "copy", "bare 2 of bare 1")
+    alike = [replace(c, force=np.asarray(c.force) * (1 + 1e-3 * k)) for k, c in enumerate(files)]
+    assert not any("copy" in text for text in messages(alike))
+
+
 @pytest.mark.parametrize(("noise", "cycles"), [(1e-3, 2), (5e-5, 4)])
 def test_wrong_labels_of_rows_are_reported(noise, cycles):
     files = p45(noise, cycles)

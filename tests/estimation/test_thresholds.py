@@ -16,9 +16,11 @@ from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.findings.finding import about_actuators
 from truenewton.estimation.likelihood import smooth_patterns
+from truenewton.estimation.paper import svd
 from truenewton.estimation.paper.identifiability import similar_loads, unseen_load
 from truenewton.estimation.problem import _accidents
 from truenewton.estimation.readings.moments import reading_noise
+from truenewton.statics.arms import arms_in_units_of_rms
 from truenewton.statics.layout import rings
 
 LAYOUT = rings([0.03, 0.06, 0.09, 0.12], [10, 20, 30, 40])
@@ -107,6 +109,30 @@ def balances_elsewhere(chi2):
         return codes(checks.exchanged_columns(problem, None))
 
 
+def first_order(ratio):
+    """Two columns fit each other's position; how far they are from their own, in residuals."""
+    distance, order = np.ones((N, N)), np.arange(N)
+    order[[0, 1]] = 1, 0
+    distance[[0, 1], [0, 1]] = ratio
+    problem = NS(campaign=NS(layout=LAYOUT), n=N, noise=NS(source=NoiseSource.REPEATS))
+    with mock.patch.object(checks, "_settled", return_value=(distance, order)):
+        return next(checks.seen_orders(problem, None))[0] == 1
+
+
+def orders_tried(spacings):
+    """All are found at a distance from their positions; nearer, no turned order is tried."""
+    places = arms_in_units_of_rms(LAYOUT)
+    places = (places[1:] / places[0]).T
+    spacing = np.sort(np.linalg.norm(places[:, None] - places, axis=2), axis=1)[:, 1]
+    distance = np.full((N, N), spacings * np.median(spacing))
+    problem = NS(campaign=NS(layout=LAYOUT), n=N, noise=NS(source=NoiseSource.REPEATS))
+    with (
+        mock.patch.object(checks, "_settled", return_value=(distance, np.arange(N))),
+        mock.patch.object(checks, "_turned", return_value=[np.arange(N)]),
+    ):
+        return len(list(checks.seen_orders(problem, None)))
+
+
 def shapes_to_noise(ratio):
     """The weakest elastic shape; noise of 400 shapes is 400 in these units."""
     values = np.array([0.0, 0.0, 0.0, np.sqrt(400 * ratio), 1e3])
@@ -160,6 +186,24 @@ def difference_seen(share):
     """Forces differ by a share of the difference of the loads, 1 N."""
     moments = NS(of_load=np.eye(2), weight=np.ones(2), mean=np.array([[0.0], [share]]))
     return unseen_load(np.ones(1), np.array([-2.0, -3.0]), moments) is None
+
+
+def bias_of_svd(ratio):
+    """Bias relative to the scatter of alpha."""
+    campaign = NS(layout=NS(enabled=np.ones(N, dtype=bool)))
+    with (
+        mock.patch.multiple(
+            svd, fit=mock.DEFAULT, weight_errors=mock.DEFAULT, weight_changes=mock.DEFAULT,
+            diagnose=mock.Mock(return_value=NS(faults=())),
+            scatter_covariance=mock.Mock(return_value=np.eye(N)),
+            noise_bias=mock.Mock(return_value=np.full(N, ratio)),
+        ),
+        mock.patch.object(svd, "replace", side_effect=InterruptedError) as found,
+    ):  # fmt: skip
+        try:
+            svd.solve_campaign(campaign, NS(repeats=9, noise=1.0))
+        except InterruptedError:
+            return codes(found.call_args.kwargs["warnings"])
 
 
 def similar(share):
@@ -219,6 +263,8 @@ CASES = [
     ("MIN_LOG_GAIN_OF_ORDER", lambda x: reordered(1.0, 0.0, x), 1.49, [], 1.51, ORDER),
     ("MAX_ALPHA_FACTOR", fit_of_alphas, 9.9, True, 10.1, False),
     ("MAX_CHI2_RATIO", balances_elsewhere, 0.24, [Code.MISPLACED_ACTUATOR], 0.26, []),
+    ("MIN_DISTANCE_RATIO", first_order, 2.9, False, 3.1, True),
+    ("HOME_SPACING_FRACTION", orders_tried, 0.09, 2, 0.11, 3),
     ("MIN_SHAPE_TO_NOISE", shapes_to_noise, 1.9, False, 2.1, True),
     ("MAX_DAYS_APART", lambda x: files_apart(days=x), 29.9, [], 30.1, [Code.DATES_APART]),
     ("WARM_TEMPERATURE", lambda x: files_apart(temperature=x),
@@ -227,6 +273,7 @@ CASES = [
     ("MIN_SCATTER_RATIO", louder, 1.4, [], 1.6, [Code.NOISE_ABOVE_DECLARED]),
     ("WEIGHED_NOISE", louder, 1.4, [], 1.6, [Code.NOISE_ABOVE_DECLARED]),
     ("MAX_UNSEEN_LOAD", difference_seen, 0.09, False, 0.11, True),
+    ("svd_bias", bias_of_svd, 0.9, [Code.SVD_BIAS], 1.1, [Code.SVD_BIAS_LARGE]),
     ("SIMILAR_LOADS_FRACTION", similar, 0.009, True, 0.011, False),
     ("MAX_OUTLYING_FRACTION", accidents, 12, True, 13, False),
     ("MIN_REPEATS", has_noise_of_each, 29, False, 30, True),

@@ -1,6 +1,5 @@
 """Campaigns from arrays and long tables are those of the same cycles."""
 
-import io
 from dataclasses import replace
 
 import astropy.units as u
@@ -111,99 +110,31 @@ def test_weights_may_be_masses_and_have_a_sign():
                                 enabled=LAYOUT.enabled)  # fmt: skip
 
 
-def long_table():
-    """Every reading in a row of its own, in no order."""
-    parts = []
-    for cycle in CAMPAIGN:
-        row, actuator = np.indices(cycle.force.shape).reshape(2, -1)
-        parts.append(
-            pd.DataFrame({
-                "load": cycle.load.name.upper(), "cycle": cycle.number, "sign": cycle.sign[row],
-                "mode": cycle.shape[row], "actuator": LAYOUT.id[actuator],
-                "mN": 1e3 * cycle.force[row, actuator], "time": cycle.time[row],
-            })
-        )  # fmt: skip
-    return pd.concat(parts).sample(frac=1.0, random_state=1)
-
-
-NAMES = {"columns": {"shape": "mode", "force": "mN"}, "units": {"force": "mN"}}
-
-
-def test_a_long_table_makes_a_campaign():
-    table = long_table()
-    table["actuator"] = "F" + table.actuator.astype(str)
-    made = tn.Campaign.from_dataframe(table, "TEST", LAYOUT, *WEIGHTS, [BARE, RING], **NAMES)
-    for one, other in zip(made, CAMPAIGN, strict=True):
-        order = np.argsort(one.time)
-        assert np.array_equal(one.shape[order], other.shape)
-        np.testing.assert_allclose(one.force[order], other.force, rtol=1e-14)
-
-
-def test_a_table_with_a_column_for_each_actuator_makes_a_campaign():
-    """As most laboratories have it: F1, F2, ... of one reading in a row."""
+def test_a_table_of_all_cycles_is_divided_by_load_and_cycle():
+    """As on the page of the files: F1, F2, ... of one reading in a row, IDs that are texts."""
+    names = np.array([f"{'AB'[int(i > 5)]}{i}" for i in LAYOUT.id])
+    places = pd.DataFrame({"id": names, "x [mm]": 1e3 * LAYOUT.x, "y [mm]": 1e3 * LAYOUT.y})
+    places["nz"] = LAYOUT.nz
     parts = []
     for c in CAMPAIGN:
         forces = pd.DataFrame(1e3 * c.force, columns=[f"F{i}" for i in LAYOUT.id])
         parts.append(forces.assign(load=c.load.name, cycle=c.number, shape=c.shape, sign=c.sign))
-    table, units = pd.concat(parts), {"force": "mN"}
-    given = (table, "TEST", LAYOUT, *WEIGHTS, [BARE, RING])
-    made = tn.Campaign.from_dataframe(*given, columns={"force": "F{id}"}, units=units)
-    for one, other in zip(made, CAMPAIGN, strict=True):
-        np.testing.assert_allclose(one.force, other.force, rtol=1e-14)
-    with pytest.raises(FormatError, match=r"no column 'force'; .* columns={'force': 'F{id}'}"):
-        tn.Campaign.from_dataframe(*given, units=units)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda t: t.rename(columns={"mode": "m"}), "no column 'mode'; name it by columns"),
-        (lambda t: t.replace("RING", "disc"), "the table has the load 'disc'; give it in loads"),
-        (lambda t: t[t.load != "RING"], "no row of the load 'ring'"),
-        (lambda t: t.replace({"actuator": {3: 99}}), "cycle 1: there is no actuator 99"),
-        (lambda t: pd.concat([t, t.iloc[:1]]), "has two readings of shape .*; add a column 'row'"),
-    ],
-)
-def test_what_is_wrong_with_a_table_is_said_in_one_line(change, words):
-    with pytest.raises(FormatError, match=words):
-        tn.Campaign.from_dataframe(
-            change(long_table()), "TEST", LAYOUT, *WEIGHTS, [BARE, RING], **NAMES
-        )
-
-
-def test_a_table_of_positions_may_have_texts_as_ids_and_names_of_columns_their_unit():
-    names = np.array([f"{'AB'[int(i > 5)]}{i}" for i in LAYOUT.id])
-    places = pd.DataFrame({"id": names, "x [mm]": 1e3 * LAYOUT.x, "y [mm]": 1e3 * LAYOUT.y})
-    places["nz"] = LAYOUT.nz
-    table = long_table().assign(actuator=lambda t: names[t.actuator - 1])
-    table = table.rename(columns={"mode": "shape", "mN": "force [mN]"})
-    given = (table, "TEST", places, *WEIGHTS, [BARE, RING])
-    made = tn.Campaign.from_dataframe(*given, enabled=LAYOUT.enabled)
+    loads = {BARE.name: BARE, RING.name: RING}
+    runs = {load: [] for load in loads.values()}
+    for (name, cycle), rows in pd.concat(parts).groupby(["load", "cycle"]):
+        run = {"number": cycle, "force": rows.filter(regex=r"^F\d")}
+        runs[loads[name]].append(run | {"shape": rows["shape"], "sign": rows["sign"]})
+    made = tn.Campaign.from_arrays(
+        "TEST", places, *WEIGHTS, runs, units={"force": "mN"}, enabled=LAYOUT.enabled
+    )
     assert made.layout.same_as(LAYOUT)
     assert made.layout.names.tolist() == names.tolist()
     for one, other in zip(made, CAMPAIGN, strict=True):
-        np.testing.assert_allclose(one.force[np.argsort(one.time)], other.force, rtol=1e-14)
-    many = {"force": [f"F{i}" for i in LAYOUT.id]}
-    with pytest.raises(FormatError, match="'force' 14 names, F1, F2, F3 and 11 more; give one, or"):
-        tn.Campaign.from_dataframe(*given, columns=many)
+        assert (one.load.name, one.number) == (other.load.name, other.number)
+        np.testing.assert_allclose(one.force, other.force, rtol=1e-14)
     with pytest.raises(FormatError, match=r"POSITIONS is not numbers .*'A1'"):
         tn.Campaign.from_arrays("T", places.to_numpy()[:, :2], *WEIGHTS, LOADS,
                                 units={"positions": "mm"})  # fmt: skip
-
-
-def test_columns_of_one_name_are_refused():
-    table = long_table()
-    twice = pd.concat([table, table[["mN"]]], axis=1)
-    given = ("TEST", LAYOUT, *WEIGHTS, [BARE, RING])
-    with pytest.raises(FormatError, match="there are two columns mN; keep one of each"):
-        tn.Campaign.from_dataframe(twice, *given, **NAMES)
-    text = twice.to_csv(index=False)  # pandas calls the second mN.1
-    with pytest.raises(FormatError, match="there are two columns mN; keep one of each"):
-        tn.Campaign.from_dataframe(pd.read_csv(io.StringIO(text)), *given, **NAMES)
-    table["MN"] = table["mN"] * 2.0
-    columns = NAMES["columns"] | {"force": "Mn"}
-    with pytest.raises(FormatError, match=r"no column 'Mn'; name it by columns.* mN, .* and MN"):
-        tn.Campaign.from_dataframe(table, *given, units={"force": "mN"}, columns=columns)
 
 
 def test_columns_of_pandas_in_the_order_of_texts_are_refused():

@@ -3,15 +3,19 @@
 import datetime
 from dataclasses import make_dataclass
 from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 
 from helpers.balanced import START
 from helpers.thresholds import below_and_above, outcome
+from truenewton.tracking import fit
 from truenewton.tracking.days import _by_temperature
 from truenewton.tracking.fit import _limits_of, _refuse_other_units, _settings
 from truenewton.tracking.lines import Scatter
 from truenewton.tracking.population import populations_from
+
+N = 20
 
 
 def day(temperature, years=0.0):
@@ -58,14 +62,34 @@ def limits_of_scatter(degrees):
     return len(list(_limits_of(days, np.ones(5, dtype=bool), Scatter(degrees=degrees), 1)))
 
 
+def outliers(*chances):
+    """How many outliers are named if the chances of the farthest of 20 actuators are these."""
+    given = iter([*chances, *[1.0] * 20])
+    found = SimpleNamespace(effects=np.zeros((1, N)), actuator_degrees=0)
+    with (
+        mock.patch.object(fit, "_effects_of", return_value=(None, None, None)),
+        mock.patch.object(fit, "fit_population"),
+        mock.patch.object(fit, "most_outlying", side_effect=lambda *_: (0, 9.0, next(given))),
+    ):
+        return len(fit._outliers(found, ("drift",), np.arange(N), [])[0])
+
+
+def masked_by(count):
+    return outliers(*[1.0] * (count - 1), 1e-12)
+
+
+def more_outliers_than(count):
+    return outliers(*[1e-12] * N) > count
+
+
 def interval_reaches_less_than(sigmas):
     """95 % of a mean with many degrees of freedom: 1.96 errors."""
-    fit = SimpleNamespace(
+    found = SimpleNamespace(
         variance=np.array([1.0]), variance_covariance=np.array([[2e-6]]),
         mean=np.array([0.0]), mean_covariance=np.array([[1.0]]),
     )  # fmt: skip
-    (found,) = populations_from(("drift",), fit, np.array([1_000_001]))
-    return found.mean_interval[1] < sigmas
+    (drift,) = populations_from(("drift",), found, np.array([1_000_001]))
+    return drift.mean_interval[1] < sigmas
 
 
 BOTH = ("temperature", "drift")
@@ -74,6 +98,8 @@ CASES = [
     ("SAME_TEMPERATURE of cycles", parts_by_temperature, 0.99, 1, 1.01, 2),
     ("OTHER_UNIT", alpha_of_another_day, 0.029, "accepted", 0.031, "refused"),
     ("MIN_INDEPENDENT_FRACTION", effects_of_mixed, 0.009, ("temperature",), 0.011, BOTH),
+    ("MAX_MASKING", masked_by, 2, 2, 3, 0),
+    ("MAX_OUTLIER_FRACTION", more_outliers_than, 4, True, 5, False),
     ("MIN_SCATTER_DEGREES", limits_of_scatter, 2, 1, 3, 0),
     ("TAIL", interval_reaches_less_than, 1.95, False, 1.97, True),
 ]

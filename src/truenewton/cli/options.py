@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from truenewton.errors import FormatError, OutputFailed
+from truenewton.errors import FormatError, GeometryError, OutputFailed
 
 if TYPE_CHECKING:
     from truenewton.arrays import Array
@@ -108,6 +110,25 @@ def motion_of(mirror: str | None, data: Read) -> Seen | None:
     if isinstance(known, SegmentedMirror) and data.layout.segments:
         return segment_sensor_models(known, data.layout)
     return sensor_model(known, data.layout)
+
+
+def model_of(mirror: str | None, data: Read) -> Array | None:
+    """Return the (n, n) stiffness by the mirror model, or that of a known mirror's name [N/m].
+
+    None if neither is known, if it is in segments, or if actuators are not on its glass.
+    """
+    from truenewton.mirrors.file import whole_mirror_from
+    from truenewton.mirrors.known import KNOWN, Mirror
+    from truenewton.mirrors.shell.shell_model import model_shell
+    from truenewton.records.stiffness_matrix import StiffnessMatrix
+
+    recorded = data.mirror if isinstance(data, StiffnessMatrix) else None
+    name = mirror or recorded or str(getattr(data, "instrument", ""))
+    known = whole_mirror_from(name) if mirror or name.lower() in KNOWN else None
+    if isinstance(known, Mirror):
+        with contextlib.suppress(GeometryError):
+            return model_shell(replace(known, layout=data.layout)).stiffness
+    return None
 
 
 def edges_of(mirror: str | None, layout: Layout) -> Sequence[Array]:

@@ -178,7 +178,8 @@ def run_modes(
             alpha = usable(alpha, accept_rejected=anyway, path=calibration)
         found = find_modes(
             data, alpha, atmosphere, diameter=diameter, radius=radius, accept_rejected=anyway,
-            efficiency=efficiency, motion=motion, off=floating, slaved=follows,
+            efficiency=efficiency, motion=motion, model=options.model_of(mirror, data),
+            off=floating, slaved=follows,
         )  # fmt: skip
         with atomic_outputs():
             if output is not None:

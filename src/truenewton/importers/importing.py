@@ -135,10 +135,8 @@ def stiffness_from(
         ways = list(_ways(given, rows, _names(ids, given.channels)))
         when, how = date_of(given, date)
     name = instrument or given.name
-    known = given.mirror.name if given.mirror else None
-    check = partial(
-        _checked, k, name=name, when=when, mirror=known, stored=stored(k), transposed=transpose
-    )
+    check = partial(_checked, k, name=name, when=when, stored=stored(k), transposed=transpose)
+    check = partial(check, mirror=given.mirror and given.mirror.name)
     record, judged, positions, noted = _numbered(_first_that_fits(given, ways, check), given, ids)
     of = f"{given.which}{part}, {unit_line}{', transposed as specified' if transpose else ''}"
     lines = [("found", ", ".join(given.found))] if given.found else []

@@ -45,6 +45,7 @@ from truenewton.modal.measured_stiffness import (
     stiffness_of,
 )
 from truenewton.modal.modal_base import Budget, Dissipation, ModalBase, modal_base
+from truenewton.modal.plausibility import enabled_model, implausible
 from truenewton.modal.true_stiffness import TrueStiffness, indices_of, static_force, true_stiffness
 from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.quantities import taking_units
@@ -152,6 +153,8 @@ class ModalFindings(Summarised):
         A function that computes the modal basis with alpha = 1; see ``before``.
     asymmetry, imbalance
         Of the stiffness with alpha = 1, and with this alpha; see `TrueStiffness`.
+    doubts
+        What is implausible of the stiffness or its sensors (`modal.plausibility`).
     sources
         The files of the stiffness.
 
@@ -170,6 +173,7 @@ class ModalFindings(Summarised):
     uncalibrated: Callable[[], ModalBase]
     asymmetry: tuple[float, float]
     imbalance: tuple[float, float]
+    doubts: tuple[Fault, ...]
     sources: tuple[Source, ...]
 
     def __repr__(self) -> str:
@@ -198,6 +202,7 @@ class ModalFindings(Summarised):
         warnings: list[Finding | Fault] = (
             list(self.measured.warnings) if self.measured is not None else []
         )
+        warnings += self.doubts
         if self.measured is not None and self.measured.misfit > MAX_MISFIT:
             warnings.append(
                 Fault(
@@ -241,6 +246,7 @@ class _Request:
     efficiency: float | None
     sensor_gain: Array | None
     motion: Any
+    model: Array | None
     off: Sequence[int]
     slaved: Sequence[int]
     accept_rejected: bool
@@ -251,16 +257,18 @@ def find_modes(
     data: Campaign | StiffnessMatrix, calibration: Calibration | None = None,
     atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
     radius: float | None = None, efficiency: float | None = None, sensor_gain: Array | None = None,
-    motion: Array | None = None, off: Sequence[int] = (), slaved: Sequence[int] = (),
-    reader: MotionReader | None = None, accept_rejected: bool = False, processes: int | None = None,
+    motion: Array | None = None, model: Array | None = None, off: Sequence[int] = (),
+    slaved: Sequence[int] = (), reader: MotionReader | None = None, accept_rejected: bool = False,
+    processes: int | None = None,
 ) -> ModalFindings: ...  # fmt: skip
 @overload
 def find_modes(
     data: Data, calibration: AnyCalibration | None = None,
     atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
     radius: float | None = None, efficiency: float | None = None, sensor_gain: Array | None = None,
-    motion: Seen | None = None, off: Sequence[int] = (), slaved: Sequence[int] = (),
-    reader: MotionReader | None = None, accept_rejected: bool = False, processes: int | None = None,
+    motion: Seen | None = None, model: Array | None = None, off: Sequence[int] = (),
+    slaved: Sequence[int] = (), reader: MotionReader | None = None, accept_rejected: bool = False,
+    processes: int | None = None,
 ) -> ModalFindings | Parts[ModalFindings]: ...  # fmt: skip
 @taking_units(diameter="m", radius="m", efficiency="N W(-1/2)", sensor_gain="")
 def find_modes(
@@ -273,6 +281,7 @@ def find_modes(
     efficiency: float | None = None,
     sensor_gain: Array | None = None,
     motion: Seen | None = None,
+    model: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     reader: MotionReader | None = None,
@@ -280,8 +289,6 @@ def find_modes(
     processes: int | None = None,
 ) -> ModalFindings | Parts[ModalFindings]:
     """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
-
-    Turbulence is left out if the diameter of the pupil is not given.
 
     Parameters
     ----------
@@ -291,7 +298,7 @@ def find_modes(
     calibration
         The source of alpha, of all segments if the data are; by default the data are calibrated.
     atmosphere
-        The turbulence; by default with 0.8 arcsec.
+        The turbulence; by default with 0.8 arcsec. Left out without a diameter.
     diameter, radius
         Of the entrance pupil of the telescope, and of the mirror that fills it [m]; the radius is
         by default that of the outermost actuator plus half a spacing. Each segment fills its part
@@ -300,6 +307,8 @@ def find_modes(
         Commanded force per root of power [N/W^1/2]; without it powers are NaN.
     sensor_gain, motion, off, slaved
         See `true_stiffness`; ``motion`` is also used to calibrate the data.
+    model
+        (n, n) stiffness by a model of the mirror, if it is in one piece [N/m].
     reader
         A reader that has read the cycles, see `motion_reader`; by default they are read.
     accept_rejected
@@ -310,15 +319,14 @@ def find_modes(
     Raises
     ------
     NotToBeUsed
-        The verdict on alpha, or most modes are negative; unless forced.
+        The verdict on alpha; most modes are negative, sensors reversed, or the model far. Unless
+        forced.
     RankDeficient, TooManyOutliers, NotConverged
         The data do not determine stiffness or alpha.
     FormatError
         Invalid seeing, diameter, efficiency or sensor gain; turbulence without a diameter.
-    CampaignMismatch
-        Data and calibration of two mirrors.
-    UnknownName
-        An invalid ID, or one both off and slaved.
+    CampaignMismatch, UnknownName
+        Data and calibration of two mirrors; an invalid ID, or one both off and slaved.
 
     Examples
     --------
@@ -333,7 +341,7 @@ def find_modes(
         )
     request = _Request(
         atmosphere or Atmosphere(), diameter, radius, efficiency, sensor_gain, motion,
-        off, slaved, accept_rejected,
+        model, off, slaved, accept_rejected,
     )  # fmt: skip
     if has_parts(data) and (calibration is None or has_parts(calibration)):
         return _of_segments(data, calibration, request, executor_for(data.layout, processes))
@@ -377,6 +385,11 @@ def _of_body(
             f"{negative} of {elastic.size} elastic modes are negative",
             "reverse the sign of STIFFNESS, or of POSITION in cycles",
         )
+    model = enabled_model(request.model, matrix.layout.enabled)
+    doubts = tuple(implausible(stiffness, modes, model))
+    for fault, useless in doubts:
+        if useless and not request.accept_rejected:
+            raise refusal_of(Level.REJECTED, *fault)
     seen = None
     if request.diameter is not None:
         pupil = pupil_of(matrix.layout, request.diameter, request.radius)
@@ -387,7 +400,7 @@ def _of_body(
         measured, calibration, after,
         partial(_uncalibrated, after, calibration, at_rest, stiffness_by, request.efficiency),
         (faults[0], stiffness.asymmetry), (faults[1], stiffness.imbalance),
-        _sources(reader, matrix),
+        tuple(fault for fault, _ in doubts), _sources(reader, matrix),
     )  # fmt: skip
 
 
@@ -421,7 +434,7 @@ def _of_segments(
             diameter = pupil.diameter * own / pupil.radius
         of_segment = replace(
             request, radius=own, diameter=diameter,
-            motion=seen_of(request.motion, layout, number),
+            motion=seen_of(request.motion, layout, number), model=None,
             sensor_gain=None if gain is None else gain[here],
             off=data.own(number, request.off), slaved=data.own(number, request.slaved),
         )  # fmt: skip

@@ -128,6 +128,8 @@ class TrueStiffness:
         |K - K'| / |K + K'| of the whole matrix before it was made symmetric.
     actuator_asymmetry
         (n,) the same of the row and column of each enabled actuator.
+    column_factor
+        (n,) columns relative to what symmetry requires; NaN without calibration.
     imbalance
         Norm of the coupling of rigid motions to the rest, over that of K; removed if calibrated.
     """
@@ -145,11 +147,12 @@ class TrueStiffness:
     places: Places
     asymmetry: float
     actuator_asymmetry: Array
+    column_factor: Array
     imbalance: float
 
     def __post_init__(self) -> None:
         freeze(self, "followers", "floating", "acting_stiffness", "enabled_alpha", "enabled_gain",
-               "enabled_offset", "actuator_asymmetry")  # fmt: skip
+               "enabled_offset", "actuator_asymmetry", "column_factor")  # fmt: skip
 
     @property
     def commanded(self) -> NDArray[np.bool_]:
@@ -276,6 +279,7 @@ def true_stiffness(
         factors = lu_factor(motion_from(places, offset).T, overwrite_a=True)
         k = np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
     skew, size = (_row_norms(k, sign) for sign in (-1.0, 1.0))
+    factor = np.full(layout.n, np.nan) if calibration is None else _column_factors(k)
     symmetric = symmetrised(k)
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
     own = rigid.T @ symmetric @ rigid
@@ -292,7 +296,7 @@ def true_stiffness(
         acting_stiffness=symmetric,
         enabled_alpha=alpha, enabled_gain=gain, enabled_offset=offset, places=places,
         asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
-        actuator_asymmetry=skew / size,
+        actuator_asymmetry=skew / size, column_factor=factor,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
     )  # fmt: skip
 
@@ -325,6 +329,32 @@ def _sensors(
             "sensor_gain contains numbers that are not positive", remedy="they are about 1"
         )
     return gain, offset
+
+
+def _column_factors(k: Array) -> Array:
+    """Return (n,) columns of an (n, n) K relative to what symmetry requires, with median 1.
+
+    The factors 1/h_j that make K most nearly symmetric minimise
+
+        sum_ij (K_ij h_j - K_ji h_i)^2 / sum_ij (K_ij h_j)^2,    i /= j
+
+    which is one eigenvector: with v_j = h_j d_j and d_j the norm of column j, that of the largest
+    eigenvalue of K_ij K_ji / (d_i d_j). NaN for an actuator without couplings.
+    """
+    off = k - np.diag(np.diag(k))
+    there = off.any(axis=0) & off.any(axis=1)
+    found = np.full(len(k), np.nan)
+    if np.count_nonzero(there) < 2:
+        return found
+    off = off[np.ix_(there, there)]
+    size = np.linalg.norm(off, axis=0)
+    off *= off.T.copy()
+    off /= np.outer(size, size)
+    last = len(off) - 1
+    _, vector = scipy.linalg.eigh(off, subset_by_index=[last, last], overwrite_a=True)
+    with np.errstate(divide="ignore"):
+        found[there] = size / vector[:, 0]
+    return np.asarray(found / np.nanmedian(found))
 
 
 def _row_norms(matrix: Array, transposed_sign: float) -> Array:

@@ -17,7 +17,7 @@ from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.records.tables import check_size, cycles_from_arrays, cycles_in_table, layout_of
+from truenewton.records.tables import check_size, cycles_from_arrays, layout_of
 from truenewton.rounding import counted, html_table, with_error
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
@@ -131,64 +131,6 @@ class Campaign:
         made = cls(tuple(cycles_from_arrays(mirror, loads, date, units)))
         check_size(actuators, made.weight)
         return made
-
-    @classmethod
-    def from_dataframe(
-        cls,
-        table: Any,
-        instrument: str,
-        positions: Layout | ArrayLike | tuple[ArrayLike, ArrayLike],
-        weight: Any,
-        weight_error: Any,
-        loads: Sequence[Load],
-        *,
-        columns: Mapping[str, str] = MappingProxyType({}),
-        units: Mapping[str, str] = MappingProxyType({}),
-        enabled: ArrayLike | None = None,
-        date: datetime.datetime | None = None,
-        **more: Any,
-    ) -> Campaign:
-        """Make a campaign from a table, which has one row for each reading, or each actuator of it.
-
-        Parameters
-        ----------
-        table
-            A DataFrame of pandas or polars, a table of astropy, or a dictionary of columns:
-            ``load`` (its name), ``cycle`` (1 by default), ``shape``, ``sign``, ``actuator`` (its
-            ID or text), ``force``, with a unit also as ``force [mN]``; optional
-            ``time``, ``valid``, ``temperature``, ``position``, and ``row``, the number of the
-            reading if a shape is repeated in a cycle.
-        instrument, positions, weight, weight_error, enabled, date, more
-            As of `from_arrays`.
-        loads
-            All loads of the table.
-        columns, units
-            Names of these columns in the table, if they differ, and units: ``{"force": "mN"}``.
-            ``{"force": "F{id}"}`` if each actuator has a column of its own: F1, F2, ...; ``{id}``
-            is the text if IDs are texts.
-
-        Raises
-        ------
-        FormatError, GeometryError, CampaignMismatch
-
-        Examples
-        --------
-        >>> bare, rows = tn.Load("bare"), np.arange(90).repeat(45)
-        >>> cycle = campaign.cycles[0]
-        >>> table = {"load": ["bare"] * 4050, "actuator": np.tile(layout.id, 90)}
-        >>> table |= {"shape": cycle.shape[rows], "sign": cycle.sign[rows]}
-        >>> table |= {"f_mN": 1e3 * np.ravel(cycle.force)}
-        >>> tn.Campaign.from_dataframe(
-        ...     table, "P45", layout, -2.92, 0.005, [bare],
-        ...     columns={"force": "f_mN"}, units={"force": "mN"},
-        ... )  # fmt: skip
-        <Campaign of P45: 45 actuators, 1 cycle under bare>
-        """
-        actuators = layout_of(positions, enabled, units.get("positions"))
-        found = cycles_in_table(table, actuators, loads, columns, units)
-        return cls.from_arrays(
-            instrument, actuators, weight, weight_error, found, date=date, **more
-        )
 
     def __post_init__(self) -> None:
         if self.cycles and (pieces := self.layout.segments):

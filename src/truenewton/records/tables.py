@@ -15,13 +15,12 @@ from truenewton.errors import Fault, FormatError, GeometryError, naming
 from truenewton.files.fits import refuse_doubles
 from truenewton.quantities import in_unit
 from truenewton.records.cycle import ARRAYS, ASSUMED, Cycle
-from truenewton.rounding import counted, listed
+from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, integers_or_texts, layout
 from truenewton.statics.load import GRAVITY, Load
 
 REQUIRED = ("force", "shape", "sign")
 OF_CYCLE = (*ARRAYS, "date", "number")
-OF_TABLE = ("load", "cycle", "actuator", "row", *ARRAYS)
 MATRICES = ("force", "position")  # with a value for each actuator
 ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
             "channel", "channels", "chan", "ch", "name", "label")  # fmt: skip
@@ -242,71 +241,6 @@ def _require_names(names: Iterable[str], required: Sequence[str], allowed: Seque
     for name in names:
         if name not in allowed:
             raise FormatError(f"'{name}' is unknown", remedy=f"choose {', '.join(allowed)}")
-
-
-def cycles_in_table(
-    table: Any,
-    actuators: Layout,
-    loads: Sequence[Load],
-    columns: Mapping[str, str],
-    units: Mapping[str, str],
-) -> dict[Load, list[dict[str, Any]]]:
-    """Return the arrays of each cycle of each load in a table with one row for each reading."""
-    there = columns_in(table)
-    _require_names(columns, (), OF_TABLE)
-    require_loads(loads)
-    known: dict[str, Any] = {name: columns.get(name, name) for name in OF_TABLE}
-    for name, of in known.items():
-        if not isinstance(of, str):
-            fault = f"columns gives '{name}' {counted(of, 'name')}, {listed(of, 3)}"
-            remedy = "give one, or 'F{id}' if each actuator has a column of its own"
-            raise FormatError(fault, remedy=remedy)
-    required = ["load", *REQUIRED]
-    wide = [name for name in MATRICES if "{id}" in known[name]]  # a column for each actuator
-    required += wide or ["actuator"]
-    named = {name: [of] for name, of in known.items()}
-    named |= {name: columns_by_id(known[name], actuators, there) for name in wide}
-    missing = [part for name in required for part in named[name] if part not in there]
-    if missing:
-        remedy = f"name it by columns={{...}}; there is {listed(getattr(table, 'columns', table))}"
-        if wide:
-            remedy += f"; IDs of the positions are {listed(actuators.names, 3)}"
-        else:
-            remedy += "; for one column of each actuator, columns={'force': 'F{id}'}"
-        raise FormatError(f"the table has no column '{missing[0]}'", remedy=remedy)
-    used = {name: parts for name, parts in named.items() if set(parts) <= set(there)}
-    _require_names(units, (), ("positions", *(name for name in ARRAYS if name in used)))
-    values = {}
-    for name, parts in used.items():
-        own = [
-            np.asarray(_in_si({name: table[of]}, {name: unit, **units})[name])
-            for of, unit in map(there.__getitem__, parts)
-        ]
-        values[name] = np.stack(own, axis=-1) if name in wide else own[0]
-    of_load = np.array([str(name).strip().casefold() for name in values["load"]])
-    if unknown := sorted(set(of_load) - {load.key for load in loads}):
-        raise FormatError(
-            f"the table has the load '{unknown[0]}'",
-            remedy=f"give it in loads; there are {', '.join(load.name for load in loads)}",
-        )
-    number = values.get("cycle", np.ones(len(of_load), dtype=np.int64))
-    found: dict[Load, list[dict[str, Any]]] = {}
-    for load in loads:
-        mine = of_load == load.key
-        if not mine.any():
-            raise FormatError(f"the table has no row of the load '{load.name}'", remedy="add it")
-        found[load] = []
-        for k in np.unique(number[mine]):
-            with naming(f"load '{load.name}', cycle {k}"):
-                some = mine & (number == k)
-                one = {name: column[some] for name, column in values.items()}
-                rows = (
-                    wide_rows(one, actuators)
-                    if not wide
-                    else {name: column for name, column in one.items() if name in ARRAYS}
-                )
-                found[load].append({"number": int(k), **rows})
-    return found
 
 
 def wide_rows(values: Mapping[str, NDArray[Any]], actuators: Layout) -> dict[str, Any]:

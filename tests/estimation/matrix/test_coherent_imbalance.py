@@ -8,7 +8,13 @@ import pytest
 import truenewton as tn
 from studies.matrices import measured_or_made, noisy, true_stiffness
 from studies.matrix_grades import mistakes, sound_matrices
-from truenewton.estimation.matrix.coherent_imbalance import coherent_imbalance, patterns_of
+from studies.simulated_matrices import hexagon, springs
+from truenewton.estimation.findings.code import LIMITS
+from truenewton.estimation.matrix.coherent_imbalance import (
+    coherent_imbalance,
+    patterns_of,
+    sensor_gains,
+)
 from truenewton.estimation.matrix.facts import MatrixFacts, negative_modes, symmetry_of
 from truenewton.estimation.matrix.modes import column_fit, columns_of
 from truenewton.estimation.matrix.screen import screen_matrix
@@ -105,6 +111,35 @@ def test_sound_matrices_are_not_doubtful(sound, method):
     levels = {name: tn.calibrate(each, method).verdict.level for name, (each, _) in sound.items()}
     assert len(levels) >= 6
     assert min(levels.values()) >= Level.USABLE, levels
+
+
+def gains_of_hexagon(log_gain, seed):
+    """Return what the gains of 37 sensors show if alpha is known to 0.05 %."""
+    layout, random = hexagon(3), np.random.default_rng([seed, 12])
+    k = springs(layout, lambda square: square * np.log(square))
+    alpha = np.exp(random.normal(0.0, 0.05, layout.n))
+    k = k * (1.0 + 2e-4 * random.standard_normal(k.shape)) / alpha[:, None] * np.exp(log_gain)
+    facts = MatrixFacts(k, comparable_arms(layout))
+    return sensor_gains(facts, alpha, np.diag((5e-4 * alpha) ** 2))
+
+
+@pytest.mark.parametrize("scatter", [0.001, 0.005, 0.02])
+def test_the_gradient_of_independent_gains_is_no_finding(scatter):
+    random = np.random.default_rng(int(1e4 * scatter))
+    sizes = [
+        gains_of_hexagon(scatter * random.standard_normal(37), seed).gradient_sigmas
+        for seed in range(20)
+    ]
+    assert max(sizes) < 4.0  # chance: exp(-16) each
+    assert 0.4 < np.median(sizes) < 1.4  # of two normal components: 0.83
+
+
+def test_a_gradient_of_the_gains_beyond_their_scatter_is_a_finding():
+    layout = hexagon(3)
+    gradient = 0.02 * layout.x / layout.x.max()
+    scatter = 0.002 * np.random.default_rng(3).standard_normal(layout.n)
+    found = gains_of_hexagon(scatter + gradient, 1)
+    assert found.gradient_sigmas > LIMITS.gradient_sigmas
 
 
 def test_symmetry_and_negative_modes_agree_with_construction(p45):

@@ -11,6 +11,7 @@ from truenewton.bench.simulated.static import static_bench
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix import (
     coherent_imbalance,
+    columns,
     couplings,
     facts,
     misfits,
@@ -146,10 +147,11 @@ def row_of_alpha(ratio):
     return len(reasons(k))
 
 
-def sensor_gain(factor):
-    k = sound()[1].copy()
-    k[:, 20] *= factor
-    return misfits.SENSOR_GAIN in reasons(k)
+def sensor_gain(factor, scatter=0.0):
+    """Whether the gain of one sensor is found while those of the others scatter."""
+    gain = np.exp(scatter * np.random.default_rng(3).standard_normal(45))
+    gain[20] = factor
+    return misfits.SENSOR_GAIN in reasons(sound()[1] * gain)
 
 
 def element_changed_by(share):
@@ -225,11 +227,17 @@ def doubts(share=0.0, shift=1.0, noise=1.0, correlation=0.0, sigmas=9.0, gradien
 
 
 def noisy_columns(inflation):
-    columns = SimpleNamespace(a=np.ones((3, 9)), modes=SimpleNamespace(values=np.ones(6)))
+    given = SimpleNamespace(a=np.ones((3, 9)), modes=SimpleNamespace(values=np.ones(6)))
     with mock.patch.object(
         modes, "fit_columns", return_value=(SimpleNamespace(alpha=np.ones(9)), inflation)
     ):
-        return outcome(lambda: modes.column_fit(columns))
+        return outcome(lambda: modes.column_fit(given))
+
+
+def parameter_costs(gain):
+    """Whether a further parameter of the noise must raise the log likelihood by more."""
+    plain, mixed = (columns.ColumnNoise(1.0, share) for share in (0.0, 0.5))
+    return mixed.cost(np.ones(9)) - plain.cost(np.ones(9)) > gain
 
 
 def asymmetric(size):
@@ -269,6 +277,7 @@ CASES = [
     ("MAX_TYPICAL_DISTANCE", lambda x: misplaced(3.5, x), 0.099, 1, 0.101, 0),
     ("MAX_ALPHA_RATIO", row_of_alpha, 2.9, 0, 3.1, 1),
     ("MIN_GAIN_FACTOR", sensor_gain, 1.09, False, 1.11, True),
+    ("MIN_GAIN_DEVIATION", lambda x: sensor_gain(x, 0.02), 1.2, False, 1.3, True),
     ("MIN_ELEMENT_DIFFERENCE", element_changed_by, 0.009, False, 0.011, True),
     ("ELEMENT_TOLERANCE", element_agrees, 0.029, True, 0.031, False),
     ("ASYMMETRY_RATIO", lambda x: unlike(x, 0.01), 0.079, 0, 0.081, 1),
@@ -285,6 +294,7 @@ CASES = [
     ("misfit_fraction", many_misfits, 10, [], 11, [Code.MANY_MISFITS]),
     ("ELEMENT_RATIO", element_against_noise, 29.0, [], 31.0, [(3, 4)]),
     ("COLUMN_IMBALANCE_RATIO", column_against_noise, 11.0, [], 13.0, [20]),
+    ("MIN_LOG_LIKELIHOOD_GAIN", parameter_costs, 2.9, True, 3.1, False),
     ("SPURIOUS_FACTOR", noisy_columns, 1.26, "accepted", 1.28, "refused"),
 ]  # fmt: skip
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 import scipy.stats
 
-from helpers.balanced import changed
+from helpers.balanced import changed, rms_z
 from helpers.small_bench import SmallBench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.problem import problem_of
@@ -44,7 +44,7 @@ def groups_of(kind, random):
     weight = random.uniform(1.0, 5.0, moments.groups)
     if kind == "left out":
         weight[[2, 9, 17]] = 0.0
-    return moments.labels, weight, moments.sizes[0]
+    return moments.labels, weight, moments.size_of_groups
 
 
 def columns(labels, size):
@@ -54,7 +54,7 @@ def columns(labels, size):
         for sign in (-1, 1):
             x.append((labels[:, 0] == load) & (labels[:, 2] == sign))
     for shape in np.unique(labels[:, 1]):
-        x.append(np.where(labels[:, 1] == shape, labels[:, 2] * size[labels[:, 0]], 0.0))
+        x.append(np.where(labels[:, 1] == shape, labels[:, 2] * size, 0.0))
     return np.array(x, dtype=float).T
 
 
@@ -178,7 +178,7 @@ def test_the_chi2_of_structure_is_the_sum_of_squared_residuals():
     campaign = SmallBench(11, 1e-3).campaign()
     moments = campaign_moments(campaign)
     noise = reading_noise(campaign, moments)
-    x = columns(moments.labels, np.ones(2))
+    x = columns(moments.labels, np.ones(56))
     root = np.sqrt(moments.weight)[:, None]
     basis = scipy.linalg.orth(x * root)
     residual = moments.mean * root - basis @ (basis.T @ (moments.mean * root))
@@ -201,3 +201,20 @@ def test_the_effective_number_of_correlated_readings_is_smaller():
     )
     assert expected < 4
     assert independent_readings((), 40) == 40
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sizes_of_single_shapes_that_position_shows_are_no_effect(seed):
+    """Shapes that differ between loads, each by itself, were 'gain by hour of each'."""
+    bench, random = SmallBench([seed, 7], 1e-4), np.random.default_rng(seed)
+    sizes = random.normal(1.0, 0.1, 14)
+    bench.size = np.where(bench.load == 1, sizes[bench.shape - 1], 1.0)
+    noise = 1e-10 * random.standard_normal((8, 28, 14))
+    campaign = changed(bench.campaign(), position=lambda k, c: c.position + noise[k])
+    found = calibrate(campaign)
+    assert not found.effects
+    assert found.verdict.level == "usable"
+    assert rms_z(found, bench.alpha) < 2.0
+    moments = screen_campaign(campaign).moments
+    expected = np.where(moments.labels[:, 0] == 1, sizes[moments.labels[:, 1] - 1], 1.0)
+    assert moments.size_of_groups == pytest.approx(expected, abs=1e-3)

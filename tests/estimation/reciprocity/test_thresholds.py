@@ -7,7 +7,7 @@ import numpy as np
 
 from helpers.thresholds import below_and_above, outcome
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.reciprocity import noise, regression
+from truenewton.estimation.reciprocity import matrix, noise, regression
 from truenewton.estimation.reciprocity.acceptance import Evidence, refusals
 
 
@@ -65,7 +65,29 @@ def is_beyond_noise(square, large_draws=0):
         return noise.beyond_noise(fits, drawn, alike=True, doubtful=False) > 1.0
 
 
+def offsets_make_doubtful(spread):
+    """Sensors off their magnets, without a model of the glass."""
+    joint = SimpleNamespace(
+        asked=None, values=None, point=mock.MagicMock(), of_alpha=SimpleNamespace(
+            asked=SimpleNamespace(offset_spread=spread), values=None, point=mock.MagicMock()
+        )
+    )  # fmt: skip
+    modes = mock.MagicMock(places=SimpleNamespace(changes=None))
+    with (
+        mock.patch.multiple(
+            matrix, in_double=lambda fit: fit, stated_errors=lambda *_: (None, None),
+            replace=mock.DEFAULT, drawn_differences=mock.DEFAULT, report_progress=mock.DEFAULT,
+        ),
+        mock.patch.object(matrix, "beyond_noise", side_effect=InterruptedError) as judged,
+    ):  # fmt: skip
+        try:
+            matrix.examined(modes, joint, None)
+        except InterruptedError:
+            return judged.call_args.kwargs["doubtful"]
+
+
 CASES = [
+    ("AT_MAGNETS_OFFSET", offsets_make_doubtful, 4.9e-5, False, 5.1e-5, True),
     ("MIN_AMPLITUDE", unheld, 0.9e-5, "refused", 1.1e-5, "accepted"),
     ("MIN_SPARE_SHAPES", judges_noise_by_misfit, 4, False, 5, True),
     ("MAX_ROW_ASYMMETRY", lambda x: odd_actuators(x, 1.0), 3.9, 0, 4.1, 1),

@@ -1,13 +1,16 @@
 """Each constant that decides about rows and files: a case just below, and a case just above."""
 
 from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 import scipy.stats
 
 from helpers.thresholds import below_and_above, outcome
 from truenewton.chance import OF_EACH_KIND
+from truenewton.errors import TooManyOutliers
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.screening import screen
 from truenewton.estimation.screening.hypotheses import (
     _differences,
     _mislabelled,
@@ -46,13 +49,16 @@ def form_clusters(within):
     return clusters(distance, 2) is not None
 
 
-def unlike(difference, labels=20):
+def prints_of(difference, labels=20):
     """Of three files one differs by a fraction, orthogonal to the others in each column."""
     rows, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((labels, 7)))
     rows, _ = np.linalg.qr(rows - rows.mean(axis=0))
     one, across = rows[:, :3], rows[:, 3:6]
-    prints = SimpleNamespace(common_rows=np.stack([one, one, one + difference * across]))
-    return len(unlike_files(campaign(0, 0, 0), prints))
+    return SimpleNamespace(common_rows=np.stack([one, one, one + difference * across]))
+
+
+def unlike(*given):
+    return len(unlike_files(campaign(0, 0, 0), prints_of(*given)))
 
 
 def unit_of(times):
@@ -121,6 +127,51 @@ def left_out_of_a_tail(times):
     return len(_leave_out_worst(sums, accidents=False))
 
 
+class Stop(Exception):
+    """Raised where a test needs no more of `screen_campaign`."""
+
+
+def screened(rejected=(), tails=1.0, noise=1e-3, first=None, rows=100, prints=None):
+    """Screen a file of which rows were left out; return the calls that matter."""
+    files = SimpleNamespace(cycles=[SimpleNamespace(valid=np.ones(rows, dtype=bool))])
+    files = type("Files", (), {"cycles": files.cycles, "__len__": lambda _: 1})()
+    moments = SimpleNamespace(rows=np.array([rows]), noise=noise, mean=np.ones(4))
+    sums = SimpleNamespace(prints=prints, step=0.0, moments=moments, samples=(),
+                           displacement=lambda: None)  # fmt: skip
+    left_out = (sums, files, [SimpleNamespace(cycle=0) for _ in rejected])
+    nothing = mock.Mock(return_value=())
+    with mock.patch.multiple(
+        screen, RepeatSums=mock.Mock(return_value=sums), compare_files=nothing,
+        copied_files=nothing, mislabelled_files=nothing, frozen_readings=nothing,
+        clipped_readings=nothing, _left_out=mock.Mock(side_effect=[first or left_out, left_out]),
+        _tails=mock.Mock(return_value=tails), _relabelled=mock.Mock(return_value=()),
+        reading_noise=mock.Mock(side_effect=None if prints else Stop),
+        pooled_where_it_fits=mock.Mock(return_value=(moments, None)),
+        unlike_files=mock.Mock(side_effect=lambda _, *rest: unlike_files(campaign(0, 0, 0), *rest)),
+    ):  # fmt: skip
+        try:
+            return screen.screen_campaign(files)
+        except Stop:
+            return screen._left_out.call_count, screen._relabelled.call_args[0][2]
+
+
+def readings_are_tailed(ratio):
+    return screened(rejected=(1,), tails=ratio)[0] == 2
+
+
+def files_affected(rows):
+    return screened(rejected=range(rows))[1]
+
+
+def scatter_of_repeats(noise):
+    refusal = TooManyOutliers("not one of its rows fits", remedy="")
+    return outcome(lambda: screened(noise=noise, first=refusal))
+
+
+def repeating_files(difference):
+    return len(screened(prints=prints_of(difference)).unlike)
+
+
 SIGN, OTHER = Code.SIGN_REVERSED, Code.OTHER_LABELS
 CASES = [
     ("MAX_SAME_DISTANCE", form_clusters, 0.29, True, 0.31, False),
@@ -138,6 +189,10 @@ CASES = [
      30, "accepted", 31, "refused"),
     ("MIN_FROZEN_ROWS", lambda k: frozen(k, 10), 2, False, 3, True),
     ("MIN_FROZEN_FRACTION", lambda k: frozen(k, 100), 9, False, 10, True),
+    ("LONG_TAIL_RATIO", readings_are_tailed, 1.07, False, 1.09, True),
+    ("SYSTEMATIC_FRACTION", files_affected, 15, [], 16, [0]),
+    ("GROSS_SCATTER", scatter_of_repeats, 0.019, "accepted", 0.021, "refused"),
+    ("MIN_DIFFERENCE_OF_REPEATING_FILES", repeating_files, 0.079, 0, 0.081, 1),
     ("FAR_OUT_FACTOR", left_out_of_a_tail, 2.9, 0, 3.1, 1),
 ]  # fmt: skip
 

@@ -289,7 +289,9 @@ class Thresholds:
     )
     gain_sigmas: float = _at(3.5, Level.DOUBTFUL, "this correlation in sigma, above")
     gradient_sigmas: float = _at(
-        7.0, Level.DOUBTFUL, "gradient of the sensor gains across the mirror in sigma, above"
+        7.0,
+        Level.DOUBTFUL,
+        "gradient of the sensor gains across the mirror in sigma (noise, scatter of gains), above",
     )
     column_noise: float = _at(
         60.0, Level.USABLE, "squared imbalance of a column / median of all columns, above"

@@ -210,7 +210,11 @@ def sensor_gains(facts: MatrixFacts, alpha: Array, covariance: Array) -> SensorG
     position = facts.arms[1:].T - facts.arms[1:].T.mean(axis=0)
     position = np.linalg.qr(position)[0]
     gradient = position.T @ log_gain
-    chi2 = gradient @ np.linalg.solve(position.T @ of_gains @ position, gradient)
+    # independent gains have a gradient, too: that of their scatter about it
+    rest = log_gain - position @ gradient
+    scatter = max(float(rest @ rest - np.trace(of_gains)) / (len(rest) - 3), 0.0)
+    by_chance = position.T @ of_gains @ position + scatter * np.eye(2)
+    chi2 = gradient @ np.linalg.solve(by_chance, gradient)
     return SensorGains(with_alpha, sigmas, float(np.sqrt(chi2 / 2.0)))
 
 

@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk
 
 from truenewton.arrays import Array
-from truenewton.chance import chi2_sf, f_sf, normal_isf
+from truenewton.chance import OF_EACH_KIND, chi2_sf, f_sf, normal_isf, t_isf
 from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.readings.rows import WEIGHED_NOISE
@@ -149,13 +149,13 @@ def each_by_itself(weight: Array) -> Pooling:
 def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) -> Pooling:
     """Return the rows of groups whose shapes repeat over loads and signs.
 
-    By (g, 3) labels as in `Moments`, (g,) weights r, 0 of groups that do not count, and the (L,)
-    size of shapes under each load, 1 under the first.
+    By (g, 3) labels as in `Moments`, (g,) weights r, 0 of groups that do not count, and the (g,)
+    sizes of their shapes, 1 under the first load.
     """
     g, on = len(labels), np.flatnonzero(weight)
     _, shape = np.unique(labels[on, 1], return_inverse=True)
     _, statics = np.unique(2 * labels[on, 0] + (labels[on, 2] > 0), return_inverse=True)
-    sign = labels[on, 2] * size[labels[on, 0]]
+    sign = labels[on, 2] * size[on]
     r = weight[on]
     of_shape = scipy.sparse.csr_array((sign, (on, shape.ravel())), shape=(g, shape.max() + 1))
     of_statics = np.zeros((g, statics.max() + 1))
@@ -308,10 +308,40 @@ class Moments:
         return size, variance
 
     @cached_property
+    def size_of_groups(self) -> Array:
+        """(g,) size of the shape of each group by POSITION, relative to that under the first load.
+
+        That of its load, unless both signs of the shape show another by more than chance.
+        """
+        z, labels = self.displacement, self.labels.tolist()
+        size, at = self.sizes[0][self.labels[:, 0]], {tuple(x): g for g, x in enumerate(labels)}
+        for load in range(1, len(self.loads) if z is not None else 1):
+            both = [
+                [at[k, shape, sign] for k in (0, load) for sign in (1, -1)]
+                for of, shape, sign in labels
+                if of == load and sign > 0
+                and {(0, shape, 1), (0, shape, -1), (load, shape, -1)} <= at.keys()
+            ]  # fmt: skip
+            if len(both) < 2 or z is None:
+                continue
+            groups = np.array(both).reshape(-1, 2, 2)  # first or other load, sign
+            moved = z[groups] - z[groups].mean(axis=(0, 2))[:, None]
+            square = np.maximum(np.sum(moved[:, 0] ** 2, axis=2), 1e-300)
+            ratio = np.sum(moved[:, 0] * moved[:, 1], axis=2) / square
+            length = np.sqrt(square.mean(axis=1))
+            half = np.abs(ratio[:, 0] - ratio[:, 1]) / 2 * length
+            noise = float(np.median(half)) / normal_isf(0.25)  # median of |z|
+            apart = np.abs(ratio.mean(axis=1) - self.sizes[0][load]) * length
+            other = apart > t_isf(OF_EACH_KIND / 2 / len(both), len(both)) * noise
+            other &= length > 0.03 * length.max()  # the others hardly move
+            size[groups[other, 1]] = ratio.mean(axis=1)[other, None]
+        return size
+
+    @cached_property
     def pooling(self) -> Pooling:
         """The pooled rows, or a row for each group."""
         if self.pooled:
-            return over_loads_and_signs(self.labels, self.weight, self.sizes[0])
+            return over_loads_and_signs(self.labels, self.weight, self.size_of_groups)
         return each_by_itself(self.weight)
 
 

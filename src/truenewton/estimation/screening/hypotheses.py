@@ -16,7 +16,7 @@ another load has the wrong name.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import chain, combinations
+from itertools import chain, combinations, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,7 +33,6 @@ from truenewton.estimation.readings.moments import Moments, WithinGroups
 from truenewton.estimation.readings.repeats import RowPrints, common_labels
 from truenewton.linalg import assignment
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
 from truenewton.rounding import listed, significant
 from truenewton.statics.arms import enabled_arms
 
@@ -199,7 +198,6 @@ def _square(values: Array) -> Array:
 
 MIN_RELABELLED_FRACTION = 0.3  # of the rows of a file fit other labels
 MIN_SAME_SHIFT_FRACTION = 0.8  # of these are shifted alike
-MAX_PAIRS = 48  # of a shape and its negative, of a file
 
 
 def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding, ...]:
@@ -249,38 +247,38 @@ def _other_labels(
     return Code.OTHER_LABELS
 
 
-def columns_of_other_rows(campaign: Campaign) -> Iterator[Finding]:
+def columns_of_other_rows(campaign: Campaign, moments: Moments) -> Iterator[Finding]:
     """Yield the actuators whose FORCE lags by a row.
 
     The sum of a shape and its negative contains only the forces at rest, so it is the same for all
-    shapes of a file. If it is not, and that of the readings one row later is, they lag.
+    shapes of a load. If it is not, and that of the readings one row later is, they lag.
     """
-    if not all(isinstance(cycle.force, np.ndarray) for cycle in campaign.cycles):
-        return
-    here, later = list[Array](), list[Array]()
-    for cycle in campaign.cycles:
-        pairs, force = _opposite_rows(cycle), cycle.used_force
-        for found, rows in ((here, pairs), (later, pairs + 1)):
-            sums = force[rows].sum(axis=1)
-            found.append(np.abs(sums - np.median(sums, axis=0)) if len(sums) else sums)
+    at = {tuple(label): group for group, label in enumerate(moments.labels.tolist())}
+    here, later, shapes = list[Array](), list[Array](), list[Array]()
+    for load, first in {k: c for c, k in zip(campaign, campaign.load_index, strict=True)}.items():
+        rows = np.column_stack([first.shape, first.sign])[first.valid].tolist()
+        after = {at[load, *row]: at[load, *other] for row, other in pairwise(rows)}
+        pairs = [(group, at.get((load, shape, -1), -1)) for (of, shape, sign), group in at.items()
+                 if of == load and sign > 0]  # fmt: skip
+        pairs = [pair for pair in pairs if after.keys() >= {*pair}]
+        if not pairs:
+            continue
+        moved = [(after[one], after[other]) for one, other in pairs]
+        single = [pair[:1] for pair in pairs]
+        for found, groups in ((here, pairs), (later, moved), (shapes, single)):
+            sums = moments.mean[np.array(groups)].sum(axis=1)
+            found.append(np.abs(sums - np.median(sums, axis=0)))
     if sum(len(sums) for sums in here) < MIN_SHARED_LABELS:
         return
-    before, after = (np.median(np.concatenate(each), axis=0) for each in (here, later))
-    lagging = np.flatnonzero(agree(after**2, before**2))
+    before, left, shape = (
+        np.median(np.concatenate(each), axis=0) for each in (here, later, shapes)
+    )
+    lagging = np.flatnonzero(agree(left**2, before**2) & ~agree(before**2, shape**2))
     if lagging.size:
         size = float(before[lagging].max())
         yield about_actuators(
             campaign.layout, Code.OTHER_ROW, lagging, many="columns", size=size, unit="N"
         )
-
-
-def _opposite_rows(cycle: Cycle) -> NDArray[np.int64]:
-    """Return (m, 2) some of the rows that count of a shape and its negative, but the last row."""
-    codes = (cycle.shape * cycle.sign)[cycle.valid][:-1]
-    first = dict(zip(*np.unique(codes, return_index=True), strict=True))
-    pairs = [(row, first[-code]) for code, row in first.items() if code > 0 and -code in first]
-    chosen = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return chosen[:: max(1, len(chosen) // MAX_PAIRS)]
 
 
 # --- load -----------------------------------------------------------------------------------------
@@ -373,6 +371,7 @@ MIN_GROUP_DIFFERENCE = 0.02  # of two groups of files, relative to their size
 MIN_DIFFERENCE_OF_REPEATING_FILES = 0.08  # the same if each file repeats
 MIN_IDENTICAL_FRACTION = 0.2  # of the rows compared that are identical
 MIN_IDENTICAL_FRACTION_OF_STEPS = 0.9  # of them, if readings are multiples of a step
+FINEST_NOISE = 1e-5  # relative to the forces: less may be rounding of the numbers
 MIN_RATIO_TO_OTHER_FILES = 4.0  # relative to the files under one load that share the fewest
 
 
@@ -429,12 +428,33 @@ def copied_files(
         if alike >= max(min(2, len(common)), share * len(common), 1):
             same[one, other] = alike / len(common)
     usual = MIN_RATIO_TO_OTHER_FILES * min(by_chance) if by_chance and len(rows) > 2 else 0.0
+    same = {at: alike for at, alike in same.items() if alike > usual or load[at[0]] != load[at[1]]}
+    same = dict.fromkeys(_nearly_alike(campaign, prints), 1.0) | same
     return tuple(
         Finding(
             code=Code.COPIED_FILE,
             where=f"{campaign.cycles[other].name} of {campaign.cycles[one].name}",
             size=alike,
         )
-        for (one, other), alike in same.items()
-        if alike > usual or load[one] != load[other]
+        for (one, other), alike in sorted(same.items())
     )
+
+
+def _nearly_alike(campaign: Campaign, prints: RowPrints) -> list[tuple[int, int]]:
+    """Return pairs of files under one load that differ by much less than their noise.
+
+    So does a file from its copy in other digits. The noise is the difference of other pairs,
+    without the zero and the gain of each actuator; three pairs are needed to know it.
+    """
+    rows, load = _centred(prints.common_rows), campaign.load_index
+    if rows.shape[1] < MIN_SHARED_LABELS:
+        return []
+    distance = dict[tuple[int, int], float]()
+    for one, other in combinations(range(len(rows)), 2):
+        if load[one] == load[other]:
+            apart, of = rows[other] - rows[one], rows[one]
+            apart -= of * (np.sum(apart * of, axis=0) / np.maximum(_square(of), 1e-300))
+            distance[one, other] = float(np.mean(apart**2))
+    size = FINEST_NOISE**2 * float(np.mean(rows**2)) if len(distance) > 2 else np.inf
+    usual = np.quantile(list(distance.values()), 0.5) if distance else 0.0
+    return [at for at, each in distance.items() if usual > size and agree(each, usual)]

@@ -25,7 +25,6 @@ from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding, about_actuators
 from truenewton.estimation.readings.moments import (
-    MIN_REPEATS,
     Moments,
     Noise,
     Structure,
@@ -33,7 +32,6 @@ from truenewton.estimation.readings.moments import (
     reading_noise,
 )
 from truenewton.estimation.readings.repeats import RepeatSums, RowPrints
-from truenewton.estimation.readings.rows import row_groups
 from truenewton.estimation.screening.hypotheses import (
     MIN_DIFFERENCE_OF_REPEATING_FILES,
     columns_of_other_rows,
@@ -90,10 +88,10 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
         *apart,
         *copied_files(campaign, prints, in_steps=bool(np.any(sums.step))),
         *mislabelled_files(campaign, sums.moments),
-        *columns_of_other_rows(campaign),
+        *columns_of_other_rows(campaign, sums.moments),
         *frozen_readings(campaign, prints),
     )
-    by_force = noise_by_force(campaign, sums.moments)
+    by_force = noise_by_force(campaign, prints)
     if by_force:
         where = f"{percent(by_force)} of its variance"
         suspects += (Finding(code=Code.NOISE_BY_FORCE, size=by_force, where=where),)
@@ -144,40 +142,32 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
     )
 
 
-def noise_by_force(campaign: Campaign, moments: Moments) -> float:
+def noise_by_force(campaign: Campaign, prints: RowPrints) -> float:
     """Return the share of the noise that is in proportion to the force; 0 unless it is significant.
 
     The deviation of a row from its repeats, without the zero and the gain of each actuator in its
     file, has the variance s^2 (1 + share (c^2 / m - 1)), m the mean of c^2. Large deviations count
-    as of three standard deviations, so that accidents do not decide.
+    as of five standard deviations, so that accidents do not decide.
     """
-    if moments.repeats < MIN_REPEATS or not all(
-        isinstance(cycle.force, np.ndarray) for cycle in campaign.cycles
-    ):
-        return 0.0
-    groups, total = row_groups(campaign)[2], np.zeros_like(moments.mean)
-    for cycle, group in zip(campaign.cycles, groups, strict=True):
-        np.add.at(total, group, cycle.used_force)
-    count = np.bincount(np.concatenate(groups))[:, None]
-    along = square = noise = 0.0
-    for cycle, group in zip(campaign.cycles, groups, strict=True):
-        some = np.flatnonzero(count[group] > 1)
-        some = some[:: max(1, len(some) // MAX_ROWS_OF_NOISE)]
-        if len(some) < MIN_ROWS_OF_NOISE:
+    rows, along, square, noise = prints.common_rows.astype(np.float64), 0.0, 0.0, 0.0
+    for load in range(len(campaign.loads)):
+        files = rows[np.array(campaign.load_index) == load]
+        if len(files) < 2 or files.shape[1] < MIN_ROWS_OF_NOISE:
             continue
-        at, force = group[some], cycle.used_force[some]
-        mean = total[at] / count[at]
-        apart = np.sqrt(count[at] / (count[at] - 1.0)) * (force - mean)
-        centred = mean - mean.mean(axis=0)
-        gain = np.sum(apart * centred, axis=0) / _some(np.sum(centred**2, axis=0))
-        apart -= apart.mean(axis=0) + gain * centred
-        variance = np.median(apart**2, axis=0) / chi2_ppf(0.5, 1)
-        deviation = np.minimum(apart**2 / _some(variance), 9.0)
-        deviation -= deviation.mean(axis=0)
+        mean = files.mean(axis=0)
         excess = mean**2 / _some(np.mean(mean**2, axis=0)) - 1.0
-        along += float(np.sum(excess * deviation))
-        square += float(np.sum(excess**2))
-        noise += float(np.sum((excess * deviation) ** 2))
+        centred = (mean - mean.mean(axis=0)) / _some(np.std(mean, axis=0))
+        kept = np.maximum(1.0 - (1.0 + centred**2) / len(mean), 0.1)  # of the variance, by the fit
+        kept *= 1.0 - 1.0 / len(files)
+        for apart in files - mean:
+            left = apart - apart.mean(axis=0) - np.mean(apart * centred, axis=0) * centred
+            left /= np.sqrt(kept)
+            variance = np.median(left**2, axis=0) / chi2_ppf(0.5, 1)
+            deviation = np.minimum(left**2 / _some(variance), LARGEST_DEVIATION**2)
+            deviation -= deviation.mean(axis=0)
+            along += float(np.sum(excess * deviation))
+            square += float(np.sum(excess**2))
+            noise += float(np.sum((excess * deviation) ** 2))
     significant = along > normal_isf(OF_EACH_KIND) * np.sqrt(noise)
     return min(along / square, 1.0) if significant else 0.0
 
@@ -303,7 +293,7 @@ def refuse_too_many(rejected: int, rows: int) -> None:
         )
 
 
-MIN_ROWS_OF_NOISE, MAX_ROWS_OF_NOISE = 8, 100  # of each file
+MIN_ROWS_OF_NOISE, LARGEST_DEVIATION = 8, 5.0  # of each file; in standard deviations
 MIN_FROZEN_ROWS = 3  # consecutive, at least
 MIN_FROZEN_FRACTION = 0.1  # of the rows of a file, consecutive
 
