@@ -70,8 +70,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.records.campaign import Campaign as Campaign
     from truenewton.records.cycle import Cycle as Cycle
     from truenewton.records.cycle import Segment as Segment
-    from truenewton.records.file import Averaged as Averaged
-    from truenewton.records.file import averaged as averaged
     from truenewton.records.file import write_campaign as write_campaign
     from truenewton.records.file import write_cycle as write_cycle
     from truenewton.records.file import write_stiffness as write_stiffness
@@ -129,7 +127,7 @@ _NAMES = {
     "recalibration.fit": ["recalibrate"],
     "records.campaign": ["Campaign"],
     "records.cycle": ["Cycle", "Segment"],
-    "records.file": ["Averaged", "averaged", "write_campaign", "write_cycle", "write_stiffness"],
+    "records.file": ["write_campaign", "write_cycle", "write_stiffness"],
     "records.parts": ["Parts"],
     "records.segmented": ["SegmentedData"],
     "records.stiffness_matrix": ["StiffnessMatrix"],

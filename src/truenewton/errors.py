@@ -106,10 +106,6 @@ class NotConverged(TrueNewtonError, ArithmeticError):
     """An iteration that does not converge."""
 
 
-class ClusterFailed(TrueNewtonError, RuntimeError):
-    """A cluster that does not answer, or workers that cannot do their task."""
-
-
 class BenchFault(TrueNewtonError, RuntimeError):
     """A bench that stopped, lost its connection, or gives invalid readings."""
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 from truenewton.calibration.file import CALIBRATIONS, LACKS
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.cluster import Client
 from truenewton.errors import FormatError, naming
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import read_file
@@ -34,7 +33,7 @@ KIND_NAMES: dict[type, tuple[str, str]] = {  # what files contain, and the funct
 }
 
 
-def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> Read:
+def read(*paths: AnyPath | Iterable[AnyPath]) -> Read:
     """Read cycle files, a stiffness file, or a calibration.
 
     Parameters
@@ -42,9 +41,6 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     paths
         Folders of cycle files and single files, or lists of them; one stiffness file may be among
         cycle files.
-    client
-        A `dask.distributed.Client`: its workers read one file each, and rows stay in the files
-        (docs/campaign.md).
 
     Returns
     -------
@@ -53,7 +49,7 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch, ClusterFailed
+    UnreadableFile, FormatError, CampaignMismatch
 
     Warns
     -----
@@ -65,7 +61,7 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     >>> tn.read("day")
     <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
     """
-    opened = open_files(paths, client)
+    opened = open_files(paths)
     if len(opened) == 1 and "CALIBRATION" in opened[0].file.extensions:
         calibration = body_or_parts_from(opened[0].file, CALIBRATIONS)
         warn_of(calibration)
@@ -125,17 +121,15 @@ def _require_number(data: Any, number: int | None, path: object) -> None:
         )
 
 
-def read_chosen(*paths: AnyPath, segment: int | None = None, client: Client | None = None) -> Read:
+def read_chosen(*paths: AnyPath, segment: int | None = None) -> Read:
     """Read as `read`, and return one segment if it is chosen, otherwise all."""
-    data = read(*paths, client=client)
+    data = read(*paths)
     return data if segment is None else select_segment(data, segment, paths[0])
 
 
-def read_data(
-    *paths: AnyPath, segment: int | None = None, client: Client | None = None
-) -> Measured:
+def read_data(*paths: AnyPath, segment: int | None = None) -> Measured:
     """Read as `read_chosen`, and refuse a calibration."""
-    data = read_chosen(*paths, segment=segment, client=client)
+    data = read_chosen(*paths, segment=segment)
     if holds_alpha(data):
         raise FormatError(
             "is a calibration already", remedy="give cycle files or a stiffness file", path=paths[0]
@@ -155,12 +149,12 @@ def _required(data: Read, wanted: type[Kind], remedy: str, path: object) -> Kind
     )
 
 
-def read_campaign(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> Campaign:
+def read_campaign(*paths: AnyPath | Iterable[AnyPath]) -> Campaign:
     """Read a campaign; other data are refused.
 
     Parameters
     ----------
-    paths, client
+    paths
         As of `read`.
 
     Raises
@@ -172,7 +166,7 @@ def read_campaign(*paths: AnyPath | Iterable[AnyPath], client: Client | None = N
     >>> tn.read_campaign("day/bare-001.fits", "day/ring-001.fits")
     <Campaign of P45: 45 actuators, 2 cycles under bare, ring>
     """
-    data = read(*paths, client=client)
+    data = read(*paths)
     return _required(data, Campaign, "give cycle files or their folder", flat(paths)[0])
 
 

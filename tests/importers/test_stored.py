@@ -1,5 +1,7 @@
 """Tables in text, Excel and FITS files: names of columns, separators, numbers of lines."""
 
+import sys
+
 import h5py
 import numpy as np
 import openpyxl
@@ -7,7 +9,7 @@ import pytest
 import scipy.io
 from astropy.table import Table
 
-from truenewton.errors import FormatError
+from truenewton.errors import FormatError, UnreadableFile
 from truenewton.importers.selection import matrix_in, positions_in
 from truenewton.importers.stored import read_stored
 from truenewton.mirrors.file import layout_in
@@ -106,3 +108,11 @@ def test_a_fault_in_excel_has_the_number_of_its_row(tmp_path):
     book.save(tmp_path / "a.xlsx")
     with pytest.raises(FormatError, match="line 9, column 2 is 'oops'"):
         read_stored(tmp_path / "a.xlsx")
+
+
+def test_without_h5py_the_extra_is_named(tmp_path, monkeypatch):
+    with h5py.File(tmp_path / "k.h5", "w") as file:
+        file["k"] = np.eye(3)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(UnreadableFile, match=r"k.h5: is HDF5, .*'truenewton\[hdf5\]'"):
+        read_stored(tmp_path / "k.h5")

@@ -2,7 +2,6 @@
 
 import dataclasses
 import datetime
-import gzip
 import hashlib
 import warnings
 
@@ -393,13 +392,6 @@ def test_degrees_of_freedom_may_be_a_float(tiny, tmp_path):
     assert read(path).degrees_of_freedom == dof
 
 
-def test_a_worker_refuses_a_gzipped_file_of_which_it_cannot_read_parts(p45_folder, tmp_path):
-    packed = tmp_path / "bare-001.fits.gz"
-    packed.write_bytes(gzip.compress((p45_folder / "bare-001.fits").read_bytes()))
-    with pytest.raises(FormatError, match=r"^there\.fits\.gz: is gzipped"):
-        reader.open_by_worker((str(packed), "there.fits.gz")).require_cycle()
-
-
 def test_a_path_paths_and_cycles_are_calibrated_as_the_campaign(p45_folder, tmp_path):
     campaign = read(p45_folder)
     alpha = calibrate(campaign, "svd").alpha
@@ -416,14 +408,13 @@ def test_a_path_paths_and_cycles_are_calibrated_as_the_campaign(p45_folder, tmp_
         calibrate(alpha)
 
 
-@pytest.mark.parametrize("name", ["k.fits", "bare.h5"])
-def test_texts_of_actuators_are_kept_and_numbers_stay_numbers(tmp_path, name):
+def test_texts_of_actuators_are_kept_and_numbers_stay_numbers(tmp_path):
     cycle = campaign_of(seed=3, noise=1e-4)[0].cycles[0]
     layout = cycle.layout
     for given in ([f"{'AB'[k % 2]}{k}" for k in range(layout.n)], list(range(layout.n))):
         own = dataclasses.replace(layout, number=given)
         other = dataclasses.replace(cycle, layout=own)
-        write_cycle(other, tmp_path / name, overwrite=True)
-        assert read(tmp_path / name).layout.number.tolist() == given
+        write_cycle(other, tmp_path / "k.fits", overwrite=True)
+        assert read(tmp_path / "k.fits").layout.number.tolist() == given
     fewer = layout.part(np.arange(1, layout.n))
     assert fewer.difference(layout) == f"{layout.n} and {layout.n - 1} actuators; only one has 1"

@@ -7,14 +7,11 @@ import pytest
 from astropy.io import fits
 
 import truenewton as tn
-from helpers.raw_samples import stream
 from helpers.segmented import in_one, pieces
 from truenewton.errors import CampaignMismatch, FormatError, GeometryError
 from truenewton.files.fits import read_fits
-from truenewton.files.hdf5 import Hdf5Rows
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import cycle_from, write_campaign, write_cycle
-from truenewton.records.reader import open_by_worker
 from truenewton.statics.layout import layout
 
 
@@ -50,27 +47,6 @@ def test_a_file_gives_back_what_each_segment_was(three, cycles, path, whole):
         assert np.array_equal(own.used_force[:, order], alone.used_force)
         assert (own.weight, own.weight_error) == (alone.weight, alone.weight_error)
         assert own.load == alone.load
-
-
-def test_samples_of_several_segments_are_averaged_to_the_same(cycles, tmp_path, monkeypatch):
-    """Here and left in the file, of which each segment is checked without reading it again."""
-    stream(cycles[-1], tmp_path / "raw.h5", noise=0.0)
-    made, left = (
-        tn.averaged(tmp_path / "raw.h5").cycle,
-        open_by_worker((str(tmp_path / "raw.h5"), "raw.h5")).require_cycle(),
-    )
-    assert made.segments == left.segments == cycles[-1].segments
-    assert made.force == pytest.approx(cycles[-1].force, rel=1e-12)
-    assert made.force_error is left.force_error is None  # forces that were held do not scatter
-    with monkeypatch.context() as patch:
-        patch.setattr(Hdf5Rows, "values", None)
-        parts = [left.of_segment(number) for number in (1, 2, 3)]
-        strokes = [part.stroke for part in parts]
-    for number, part, stroke in zip((1, 2, 3), parts, strokes, strict=True):
-        own = made.of_segment(number)
-        assert np.array_equal(part.used_force, own.used_force)
-        assert part.largest_force == own.largest_force
-        assert stroke == pytest.approx(own.stroke, rel=1e-9)
 
 
 def test_weights_leave_the_header(path):

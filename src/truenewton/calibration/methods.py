@@ -16,7 +16,6 @@ from truenewton.arrays import Array, spread, spread_covariance
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.calibration.workers import executor_for
-from truenewton.cluster import Client
 from truenewton.errors import (
     Fault,
     NotConverged,
@@ -176,20 +175,18 @@ METHODS = {
 @overload
 def calibrate(
     data: Campaign | StiffnessMatrix, method: str | None = None, *, population: bool = False,
-    motion: Array | None = None, exclude: Collection[int | str] = (), client: Client | None = None,
-    processes: int | None = None,
+    motion: Array | None = None, exclude: Collection[int | str] = (), processes: int | None = None,
 ) -> Calibration: ...  # fmt: skip
 @overload
 def calibrate(
     data: SegmentedData, method: str | None = None, *, population: bool = False,
-    motion: Seen | None = None, exclude: Collection[int | str] = (), client: Client | None = None,
-    processes: int | None = None,
+    motion: Seen | None = None, exclude: Collection[int | str] = (), processes: int | None = None,
 ) -> Parts[Calibration]: ...  # fmt: skip
 @overload
 def calibrate(
     data: Data | AnyPath | Iterable[AnyPath | Cycle], method: str | None = None, *,
     population: bool = False, motion: Seen | None = None, exclude: Collection[int | str] = (),
-    client: Client | None = None, processes: int | None = None,
+    processes: int | None = None,
 ) -> AnyCalibration: ...  # fmt: skip
 def calibrate(
     data: Data | AnyPath | Iterable[AnyPath | Cycle],
@@ -198,7 +195,6 @@ def calibrate(
     population: bool = False,
     motion: Seen | None = None,
     exclude: Collection[int | str] = (),
-    client: Client | None = None,
     processes: int | None = None,
 ) -> AnyCalibration:
     """Find alpha of every actuator.
@@ -223,11 +219,9 @@ def calibrate(
     exclude
         IDs of actuators without alpha, such as channels that are known to be bad. Those of a matrix
         are released: the others are taken in states in which these exert no force.
-    client
-        A `dask.distributed.Client`, which ``read`` was given as well (docs/campaign.md).
     processes
         Number of segments calibrated at once, each in its own process; by default the
-        number of processors, or one if segments are small or there is a client.
+        number of processors, or one if segments are small.
 
     Raises
     ------
@@ -248,18 +242,18 @@ def calibrate(
     >>> tn.calibrate(campaign)
     <Calibration of P45: 45 actuators, alpha 0.715 .. 1.1, typical error 1.7 %, ...>
     """
-    data = measured_from(data, client)
+    data = measured_from(data)
     method, options = resolve_method(data, method, population=population, motion=motion)
     ids = sorted(set(data.layout.ids_of(exclude)))
     if has_parts(data):
-        one = partial(calibrate, method=method, population=population, client=client)
-        of_all = _of_segments(data, one, motion, ids, 1 if client is not None else processes)
+        one = partial(calibrate, method=method, population=population)
+        of_all = _of_segments(data, one, motion, ids, processes)
         warn_of(of_all)
         return of_all
     left = disabled(data, ids)
     if isinstance(left, Campaign):
-        estimate = METHODS[method].of_cycles(screen_campaign(left, client), options)
-        made = _without(calibration_of(left, estimate, client=client), ids)
+        estimate = METHODS[method].of_cycles(screen_campaign(left), options)
+        made = _without(calibration_of(left, estimate), ids)
     else:
         made = _of_matrix(left, method, options, ids)
     warn_of(made)
@@ -374,7 +368,6 @@ def calibration_of(
     campaign: Campaign,
     estimate: Estimate,
     readers: Sequence[RowReader] = (),
-    client: Client | None = None,
 ) -> Calibration:
     """Return an estimate as a calibration; the rows are read for E_CYCLE, and for more readers."""
     layout, cycles, on = campaign.layout, campaign.cycles, campaign.layout.enabled
@@ -382,7 +375,7 @@ def calibration_of(
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
     lost = [sum(row.cycle == k for row in estimate.rejected_rows) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
-    cycle_errors.read(readers, client)
+    cycle_errors.read(readers)
     return Calibration(
         instrument=campaign.instrument,
         date=min(c.date for c in cycles),

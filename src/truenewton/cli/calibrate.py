@@ -76,7 +76,6 @@ def run_calibrate(
     population: bool = options.POPULATION,
     mirror: str | None = options.MIRROR_MODEL,
     exclude: str | None = options.EXCLUDE,
-    cluster: str | None = options.CLUSTER,
     segment: int | None = options.SEGMENT,
     processes: int | None = typer.Option(
         None,
@@ -94,7 +93,6 @@ def run_calibrate(
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.summary import detail_lines, summary_lines, summary_values
     from truenewton.calibration.verdict import usable
-    from truenewton.cluster import connected
     from truenewton.reading import read_data
     from truenewton.records.file import SUFFIXES
     from truenewton.records.parts import has_parts
@@ -104,18 +102,17 @@ def run_calibrate(
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
     out = options.ids(exclude, "--exclude")
-    with connected(cluster) as client:
-        with busy("reading"):
-            data = read_data(*paths, segment=segment, client=client)
-        with about(paths):
-            with busy("calibrating", keeping=True) as waiting:
-                motion = options.motion_of(mirror, data)
-                work = partial(
-                    calibrate, data, method, population=population, motion=motion, exclude=out,
-                    client=client, processes=processes,
-                )  # fmt: skip
-                found: AnyCalibration = waiting.end_of(work)
-            found = usable(found, accept_rejected=anyway)
+    with busy("reading"):
+        data = read_data(*paths, segment=segment)
+    with about(paths):
+        with busy("calibrating", keeping=True) as waiting:
+            motion = options.motion_of(mirror, data)
+            work = partial(
+                calibrate, data, method, population=population, motion=motion, exclude=out,
+                processes=processes,
+            )  # fmt: skip
+            found: AnyCalibration = waiting.end_of(work)
+        found = usable(found, accept_rejected=anyway)
     lines, then = [*summary_lines(found)], ""
     if output is not None:
         found.write(output, overwrite=overwrite)

@@ -60,12 +60,6 @@ NOISE = typer.Option(
     1e-4, min=0.0, max=1.0, help="Standard deviation of one force reading [N] (static)."
 )
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")
-CLUSTER = typer.Option(
-    None,
-    "--cluster",
-    metavar="ADDRESS",
-    help="Address of the Dask scheduler.",
-)
 
 
 def output(text: str, default: Any = None) -> Any:

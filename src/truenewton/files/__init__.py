@@ -1,9 +1,8 @@
-"""FITS, HDF5 and TOML on disk, whatever they mean; outputs that are complete or not there.
+"""FITS and TOML on disk, whatever they mean; outputs that are complete or not there.
 
 format       file formats, each declared once for writing and reading
 values       keys of JSON objects, each declared once for its values and its schema
 fits         reading and writing FITS: the only importer of astropy.io.fits
-hdf5         reading and writing HDF5, under the names of the FITS formats
 content      what a file contains, by name, type and unit
 opening      files that are opened for reading: plain files only, texts, gzipped bytes
 stored_rows  rows of a table that stay in their file, for campaigns larger than memory

@@ -1,4 +1,4 @@
-"""The contents of a FITS or HDF5 file: keywords, columns and images by name, type and unit."""
+"""The contents of a FITS file: keywords, columns and images by name, type and unit."""
 
 from __future__ import annotations
 

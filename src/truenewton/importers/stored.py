@@ -7,6 +7,7 @@ supervisor begins with its type and sizes (`float 672`), with the first index fa
 
 from __future__ import annotations
 
+import importlib
 import io
 import math
 import os
@@ -26,7 +27,6 @@ from numpy.typing import NDArray
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits, refuse_doubles
-from truenewton.files.hdf5 import import_h5py, unit_of
 from truenewton.files.opening import GZIP, MAX_UNPACKED_BYTES, open_plain, refuse_too_large
 from truenewton.records.tables import LENGTHS, columns_in
 from truenewton.rounding import counted
@@ -39,6 +39,7 @@ THOUSANDS = re.compile(r"[-+]?\d{1,3}(\.\d{3})+(,\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
 UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
 LOGICAL = {"true": "1", "false": "0"}
+HDF5_UNITS = ("unit", "units", "UNIT", "UNITS")  # attributes of a dataset
 MAX_WORD_COLUMNS = 16  # a table with more columns is a matrix, without columns of words
 
 
@@ -159,7 +160,14 @@ def _as_stored(path: str, values: NDArray[Any] | None, columns: Mapping[str, Any
 
 
 def _hdf5(path: str) -> Stored:
-    h5py = import_h5py(path)
+    try:
+        h5py: Any = importlib.import_module("h5py")
+    except ModuleNotFoundError:
+        raise UnreadableFile(
+            "is HDF5, for which h5py is missing",
+            remedy="install the extra: pip install 'truenewton[hdf5]'",
+            path=path,
+        ) from None
     found: dict[str, Item] = {}
 
     def take(name: str, held: Any) -> None:
@@ -169,12 +177,19 @@ def _hdf5(path: str) -> Stored:
             matlab = "MATLAB_class" in held.attrs
             values = held[()].T if matlab else held[()]
             found[name.replace("/", ".") if matlab else name] = Item(
-                np.asarray(values, dtype=np.float64), unit_of(held)
+                np.asarray(values, dtype=np.float64), _unit_of(held)
             )
 
     with h5py.File(path, "r") as file:
         file.visititems(take)
     return Stored(path, found)
+
+
+def _unit_of(dataset: Any) -> str:
+    """Return the unit that a dataset of HDF5 declares, or ''."""
+    found = [np.ravel(dataset.attrs[name])[0] for name in HDF5_UNITS if name in dataset.attrs]
+    unit = found[0] if found else ""
+    return unit.decode("utf-8", "backslashreplace") if isinstance(unit, bytes) else str(unit)
 
 
 def _matlab(path: str) -> Stored:

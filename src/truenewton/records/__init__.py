@@ -7,7 +7,6 @@ segmented         data of a mirror in several segments
 result            what all results have in common; their columns and files
 parts             the results of the segments of a mirror
 tables            cycles from arrays and long tables
-samples           raw samples, averaged to rows
 file              cycle and stiffness files
-reader            data at paths: campaigns and stiffness matrices, here or by a cluster
+reader            data at paths: campaigns and stiffness matrices
 """

@@ -6,31 +6,23 @@ import os
 import re
 import shlex
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import starmap
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from truenewton.arrays import Array
 from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.files.content import PRIMARY, FitsFile
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
-from truenewton.files.hdf5 import STREAM, is_hdf5, read_hdf5, write_hdf5
-from truenewton.files.hdf5 import SUFFIXES as HDF5
 from truenewton.files.outputs import folder_beside
 from truenewton.records.cycle import Cycle, Segment, Source, check_segments, sums_of
-from truenewton.records.samples import SampleMeans, left_in_file, rows_of_samples, sample_means
 from truenewton.records.stiffness_matrix import StiffnessMatrix, StoredAs
 from truenewton.statics.layout import Layout
-from truenewton.statics.load import LEAST_NOISE, Load
+from truenewton.statics.load import Load
 
 SUFFIXES = (".fits", ".fits.gz")
 FOREIGN_MATRIX = "ff_matrix.fits"  # of a supervisor, which `import` reads
-ROUNDING = 1e-12  # of the largest mean
 INSTRUMENT = Keyword("INSTRUME", "instrument", "mirror", kind="str")
 ID = Column("ID", "layout.id", kind="int")
 X, Y = (Column(name, f"layout.{name.lower()}", "m") for name in "XY")
@@ -102,9 +94,6 @@ SEGMENTED_CYCLE = FileFormat(
     tuple(keyword for keyword in CYCLE.keywords if keyword.name not in OF_SEGMENTS),
     (*CYCLE.extensions, SEGMENTS),
 )
-SAMPLES = TableFormat(STREAM, MEASUREMENTS.columns)
-RAW = FileFormat(CYCLE.keywords, (ACTUATORS, SAMPLES))
-SEGMENTED_RAW = FileFormat(SEGMENTED_CYCLE.keywords, (ACTUATORS, SAMPLES, SEGMENTS))
 ROW = Column("ROW", "stored.rows", kind="int", absent=None)
 STORED_ACTUATORS = replace(ACTUATORS, columns=(*ACTUATORS.columns, ROW))
 STIFFNESS = FileFormat(
@@ -132,34 +121,9 @@ SOURCES = TableFormat(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Averaged:
-    """A cycle of N rows, averaged from raw samples.
-
-    Attributes
-    ----------
-    cycle
-        The means; FORCERR is that of one of them.
-    number
-        (N,) samples of each row.
-    force_variance, position_variance
-        (N, n) variances of one sample [N^2], [m^2]; NaN for single samples; None without POSITION.
-
-    Examples
-    --------
-    >>> tn.averaged("samples.h5").force_variance.shape
-    (2, 45)
-    """
-
-    cycle: Cycle
-    number: NDArray[np.int64]
-    force_variance: Array
-    position_variance: Array | None
-
-
 def read_file(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS or HDF5 file; if not whole, vector columns stay on disk."""
-    return (read_hdf5 if is_hdf5(path) else read_fits)(path, whole=whole)
+    """Read a FITS file; if not whole, vector columns stay on disk."""
+    return read_fits(path, whole=whole)
 
 
 def layout_from(file: FitsFile) -> Layout:
@@ -172,8 +136,8 @@ def read_layout(path: str | os.PathLike[str]) -> Layout:
     return layout_from(read_file(path, whole=False))
 
 
-def cycle_from(file: FitsFile, *, means_in_memory: bool = True) -> Cycle:
-    """Return the cycle in a file; if not ``means_in_memory``, means of samples stay in the file."""
+def cycle_from(file: FitsFile) -> Cycle:
+    """Return the cycle in a file."""
     if not holds_cycle(file):
         there = ", ".join(name for name in file.extensions if name != PRIMARY)
         raise FormatError(
@@ -182,26 +146,24 @@ def cycle_from(file: FitsFile, *, means_in_memory: bool = True) -> Cycle:
             " file, with an image STIFFNESS; `truenewton import` converts other files",
             path=file.path,
         )
-    if STREAM in file.extensions:
-        return averaged_from(file, means_in_memory=means_in_memory).cycle
-    return file.filled(Cycle, _values(file, CYCLE, SEGMENTED_CYCLE))
+    return file.filled(Cycle, _values(file))
 
 
-def _values(file: FitsFile, form: FileFormat, segmented: FileFormat) -> dict[str, Any]:
-    """Return the values of a cycle or its samples; weights of segments are only in SEGMENTS."""
+def _values(file: FitsFile) -> dict[str, Any]:
+    """Return the values of a cycle; weights of segments are only in SEGMENTS."""
     layout = layout_from(file)  # its faults are reported first: FORCE has its width
     known = {"layout": layout, "source": Source(file.path, file.sha256)}
     if SEGMENTS.name not in file.extensions:
         with naming(file.path):
             check_segments((), layout)
-        return file.values(form) | known
+        return file.values(CYCLE) | known
     if both := [name for name in OF_SEGMENTS if name in file.header]:
         raise FormatError(
             f"{' and '.join(both)} are both in the primary header and in SEGMENTS",
             remedy="remove them from the header: SEGMENTS contains them for each segment",
             path=file.path,
         )
-    values = file.values(segmented)
+    values = file.values(SEGMENTED_CYCLE)
     columns = values.pop("segments")
     if len(columns["number"]) == 0:
         raise FormatError(
@@ -215,71 +177,8 @@ def _values(file: FitsFile, form: FileFormat, segmented: FileFormat) -> dict[str
 
 
 def holds_cycle(file: FitsFile) -> bool:
-    """Return whether a file contains a cycle, or samples of one."""
-    return MEASUREMENTS.name in file.extensions or STREAM in file.extensions
-
-
-def averaged(path: str | os.PathLike[str]) -> Averaged:
-    """Average a file of raw samples (docs/files.md), which may be larger than memory.
-
-    Parameters
-    ----------
-    path
-        HDF5, with a group SAMPLES instead of MEASUREMENTS.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-
-    Examples
-    --------
-    >>> tn.averaged("samples.h5").number  # of a row
-    array([45, 45])
-    """
-    file = read_file(path, whole=False)
-    if STREAM not in file.extensions:
-        raise FormatError(
-            f"there is no table {STREAM}",
-            remedy="give a file of raw samples; `read` takes cycle files",
-            path=file.path,
-        )
-    return averaged_from(file)
-
-
-def averaged_from(file: FitsFile, *, means_in_memory: bool = True) -> Averaged:
-    """Return the cycle of the samples in a file, and their scatter.
-
-    If not ``means_in_memory``, FORCE and POSITION stay in the file, and are averaged whenever they
-    are used.
-    """
-    if MEASUREMENTS.name in file.extensions:
-        raise FormatError(
-            f"there are both {MEASUREMENTS.name} and {STREAM}",
-            remedy="keep one of them in a file",
-            path=file.path,
-        )
-    values = _values(file, RAW, SEGMENTED_RAW)
-    with naming(file.path):
-        first, number = rows_of_samples(values["shape"], values["sign"], values["valid"])
-    values |= {name: values[name][first] for name in ("shape", "sign")}
-    values["valid"] = np.ones(len(first), dtype=bool)
-    for name in ("time", "temperature"):
-        if values[name] is not None:
-            values[name] = sample_means(values[name][:, None], first, number).mean[:, 0]
-    of, layout = dict[str, SampleMeans](), values["layout"]
-    counted = [layout.enabled, *(layout.enabled & (layout.segment == k) for k in layout.segments)]
-    for name in ("force", "position"):
-        if (samples := values[name]) is not None:
-            of[name] = sample_means(samples, first, number)
-            values[name] = (
-                of[name].mean if means_in_memory else left_in_file(samples, of[name], counted)
-            )
-    known = of["force"].of_mean[number > 1][:, layout.enabled]
-    noise = float(np.sqrt(known.mean())) if known.size else 0.0
-    least = max(LEAST_NOISE, ROUNDING * float(np.abs(of["force"].mean[:, layout.enabled]).max()))
-    values["force_error"] = noise if noise > least else None  # constant forces have none
-    position_variance = of["position"].variance if "position" in of else None
-    return Averaged(file.filled(Cycle, values), number, of["force"].variance, position_variance)
+    """Return whether a file contains a cycle."""
+    return MEASUREMENTS.name in file.extensions
 
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
@@ -294,7 +193,7 @@ def stiffness_from(file: FitsFile) -> StiffnessMatrix:
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return files, and the FITS and HDF5 files of folders, sorted by name in each folder."""
+    """Return files, and the FITS files of folders, sorted by name in each folder."""
     files: list[Path] = []
     for path in map(Path, paths):
         try:
@@ -304,7 +203,7 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
                 f"cannot be read ({error.strerror})", remedy="check its permissions", path=path
             ) from error
         if path.is_dir():
-            inside = [p for p in inside if p.name.endswith(SUFFIXES + HDF5) and p.name[0] != "."]
+            inside = [p for p in inside if p.name.endswith(SUFFIXES) and p.name[0] != "."]
             deeper = () if inside else ("*/", "*/*/")
             if any(any(path.glob(f"{at}{FOREIGN_MATRIX}")) for at in ("", *deeper)):
                 command = shlex.join(["truenewton", "import", str(path), "-o", "matrix.fits"])
@@ -315,16 +214,16 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
                 )
         if not inside:
             remedy = (
-                "give the folder of a campaign, whose files end in .fits, .fits.gz or .h5; to"
+                "give the folder of a campaign, whose files end in .fits or .fits.gz; to"
                 " convert your own files, see `truenewton import --example`"
             )
-            raise UnreadableFile("contains no FITS or HDF5 files", remedy=remedy, path=path)
+            raise UnreadableFile("contains no FITS files", remedy=remedy, path=path)
         files += inside
     return list({os.path.realpath(p): p for p in files}.values())
 
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a cycle file; HDF5 if the name ends in .h5 or .hdf5.
+    """Write a cycle file.
 
     Parameters
     ----------
@@ -345,8 +244,7 @@ def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool =
     >>> tn.read_campaign("bare.fits")
     <Campaign of P45: 45 actuators, 1 cycle under bare>
     """
-    write = write_hdf5 if os.fspath(path).lower().endswith(HDF5) else write_fits
-    write(path, SEGMENTED_CYCLE if cycle.segments else CYCLE, cycle, overwrite=overwrite)
+    write_fits(path, SEGMENTED_CYCLE if cycle.segments else CYCLE, cycle, overwrite=overwrite)
 
 
 def cycle_name(load: Load, number: int) -> str:

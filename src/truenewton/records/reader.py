@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
-from truenewton.cluster import Client, each
 from truenewton.errors import Fault, FormatError, TrueNewtonError, UnreadableFile
-from truenewton.files.content import FitsFile, Table
-from truenewton.files.hdf5 import STREAM
-from truenewton.files.stored_rows import StoredRows
+from truenewton.files.content import FitsFile
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import cycle_from, fits_paths, holds_cycle, read_file, stiffness_from
@@ -57,56 +52,22 @@ class Opened(NamedTuple):
 
 def open_file(path: AnyPath, *, whole: bool) -> Opened:
     """Open a file; if not whole, vector columns stay on disk."""
-    return _opened(read_file(path, whole=whole), means_in_memory=True)
-
-
-def open_by_worker(names: tuple[str, str]) -> Opened:
-    """Open a file by its absolute path, and name it by the second one in messages."""
-    path, name = names
-    try:
-        return _opened(replace(read_file(path, whole=False), path=name), means_in_memory=False)
-    except TrueNewtonError as error:
-        raise error.changed(path=name) from None
-
-
-def _opened(file: FitsFile, *, means_in_memory: bool) -> Opened:
-    """Return a file with its cycle; if not ``means_in_memory``, means of samples stay in it."""
+    file = read_file(path, whole=whole)
     if not holds_cycle(file):
         return Opened(file, None)
-    # Columns of samples are as long as the stream; the cycle contains what is needed of them.
-    light = {n: Table(0, {}) if n == STREAM else part for n, part in file.extensions.items()}
-    kept = replace(file, extensions=light)
     try:
-        cycle = cycle_from(file, means_in_memory=means_in_memory)
-        if not means_in_memory:
-            _require_stored(cycle)
-            cycle.stroke  # noqa: B018  # reads POSITION here, not where all files are needed
+        return Opened(file, cycle_from(file))
     except UnreadableFile:
         raise
     except TrueNewtonError as error:
-        return Opened(kept, error.changed(path=file.path))
-    return Opened(kept, cycle)
+        return Opened(file, error.changed(path=file.path))
 
 
-def _require_stored(cycle: Cycle) -> None:
-    if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
-        raise FormatError(
-            "is gzipped, or FORCE or POSITION has TSCAL or TDIM: workers cannot read parts of it",
-            remedy="write it again with write_cycle, or calibrate without a cluster",
-            path=cycle.name,
-        )
-
-
-def open_files(
-    paths: Iterable[AnyPath | Iterable[AnyPath]], client: Client | None = None
-) -> list[Opened]:
-    """Open the files of paths and folders, here or by the workers of a cluster."""
+def open_files(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[Opened]:
+    """Open the files of paths and folders."""
     every = fits_paths(flat(paths))
-    if client is None:
-        whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
-        return list(each(partial(open_file, whole=whole), every))
-    names = [(str(path.absolute()), str(path)) for path in every]
-    return list(each(open_by_worker, names, client))
+    whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
+    return [open_file(path, whole=whole) for path in every]
 
 
 def measured_in(opened: Sequence[Opened]) -> Measured:
@@ -118,7 +79,7 @@ def measured_in(opened: Sequence[Opened]) -> Measured:
     return _measured(cycles, tuple(map(stiffness_from, matrices)))
 
 
-def measured_from(given: Any, client: Client | None = None) -> Measured:
+def measured_from(given: Any) -> Measured:
     """Return data as they are, those at a path or paths, or those of cycles.
 
     Raises
@@ -131,7 +92,7 @@ def measured_from(given: Any, client: Client | None = None) -> Measured:
     several = isinstance(given, Iterable) and not isinstance(given, str | os.PathLike)
     items = [*given] if several and not hasattr(given, "dtype") else [given]
     if items and all(isinstance(one, str | os.PathLike) for one in items):
-        return measured_in(open_files(items, client))
+        return measured_in(open_files(items))
     cycles = tuple(one for one in items if isinstance(one, Cycle))
     matrices = tuple(one for one in items if isinstance(one, StiffnessMatrix))
     if items and len(cycles) + len(matrices) == len(items):

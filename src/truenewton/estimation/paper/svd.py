@@ -15,7 +15,6 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpocon, dpotrf
 
 from truenewton.arrays import Array
-from truenewton.cluster import Client, each
 from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
@@ -194,7 +193,7 @@ class CycleErrors:
     def __init__(self, campaign: Campaign, solution: Array) -> None:
         self._a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
         unknowns = Unknowns(n, len(campaign.loads))
-        self._campaign, self._solution = campaign, solution
+        self._campaign = campaign
         weights, bias_force = campaign.effective_weights.tolist(), float(solution[unknowns.bias])
         torques = solution[unknowns.torques].reshape(-1, 2).tolist()
         self._external = [(weights[k], bias_force, *torques[k]) for k in campaign.load_index]
@@ -216,23 +215,9 @@ class CycleErrors:
                 self._alphas.append(alpha)
             self._square[:], self._total[:] = 0.0, 0.0
 
-    def read(self, readers: Sequence[RowReader] = (), client: Client | None = None) -> None:
-        """Read the rows of all cycles, also for more readers.
-
-        With a client and no more readers its workers read them, a cycle each.
-        """
-        if client is None or readers:
-            read_rows(self._campaign, (self.take, *readers))
-            return
-        campaign, n = self._campaign, len(self._total)
-        unknowns = Unknowns(n, len(campaign.loads))
-        torques = self._solution[unknowns.torques].reshape(-1, 2)
-        alone = (
-            (cycle, np.concatenate([self._solution[: n + 1], torques[k]]))
-            for cycle, k in zip(campaign.cycles, campaign.load_index, strict=True)
-        )
-        for alphas in each(_alphas_of, alone, client):
-            self._alphas += alphas
+    def read(self, readers: Sequence[RowReader] = ()) -> None:
+        """Read the rows of all cycles, also for more readers."""
+        read_rows(self._campaign, (self.take, *readers))
 
     def _from_square(self, right: Array) -> Array | None:
         """Solve C' C alpha = C' p in place, with (n,) C' p; None if it is close to singular."""
@@ -251,14 +236,6 @@ class CycleErrors:
         if count < 2:
             return np.full(len(self._total), np.nan)
         return np.asarray(3.0 * np.std(self._alphas, axis=0, ddof=1) / np.sqrt(count))
-
-
-def _alphas_of(cycle_and_solution: tuple[Cycle, Array]) -> list[Array]:
-    """Read a cycle alone; return its (n,) alpha, if it has one."""
-    cycle, solution = cycle_and_solution
-    errors = CycleErrors(Campaign((cycle,)), solution)
-    errors.read()
-    return errors._alphas
 
 
 def from_rows(cycle: Cycle, a: Array, external: tuple[float, ...]) -> Array | None:

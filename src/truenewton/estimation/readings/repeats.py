@@ -12,13 +12,12 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial, reduce
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.cluster import Client, divided, each
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.readings.moments import Moments, WithinGroups, rounding_steps
 from truenewton.estimation.readings.rows import (
@@ -26,7 +25,6 @@ from truenewton.estimation.readings.rows import (
     FileSums,
     GroupBlock,
     GroupBlocks,
-    WithoutWorst,
     added,
     common_reference,
     file_rows,
@@ -46,13 +44,11 @@ class RepeatSums:
     """Sums over the rows of each group of a campaign, which are read a block of groups at a time.
 
     Displacements count from the (n,) reference [m], the `common_reference` of the campaign unless
-    given. A dask client makes the sums, if there is one.
+    given.
     """
 
-    def __init__(
-        self, campaign: Campaign, reference: Array | None = None, client: Client | None = None
-    ) -> None:
-        self.campaign, self.client = campaign, client
+    def __init__(self, campaign: Campaign, reference: Array | None = None) -> None:
+        self.campaign = campaign
         # Whether leaving rows out has emptied a group or moved the reference: then all sums must be
         # made again.
         self.stale = False
@@ -71,20 +67,20 @@ class RepeatSums:
         self._mean, self._known = np.empty((groups, n)), np.zeros((groups, 3))
         self._scatter_of, self.furthest = np.zeros((2, count, n))  # of each block, see `BlockSums`
         self.samples = [np.empty((0, n))] * count
-
-        def take(several: list[BlockSums]) -> None:
-            for sums in several:
+        self._by_file = FileSums()
+        for several in self._runs(n):
+            sums_of_blocks, by_file = sums_of(several)
+            for sums in sums_of_blocks:
                 self._keep(sums)
-
-        self._by_file: FileSums = divided(sums_of, self._runs(n), take, added, client)
+            self._by_file = added(self._by_file, by_file)
 
     def _runs(self, n: int) -> Iterator[list[GroupBlock]]:
-        """Yield successive blocks in lists, each of which is read by one task."""
+        """Yield successive blocks in lists whose sums by file are added."""
         run, size = list[GroupBlock](), 0
         for block in self._blocks:
             run.append(block)
             size += 8 * n * int(block.number.sum())
-            if size > 4 * BLOCK_BYTES:  # some tenths of a second
+            if size > 4 * BLOCK_BYTES:
                 yield run
                 run, size = [], 0
         if run:
@@ -150,9 +146,8 @@ class RepeatSums:
         if zeros is None:
             return None
         positions = [cycle.position for cycle in self.campaign.cycles if cycle.position is not None]
-        function = partial(mean_displacement, positions=positions, zeros=zeros)
         mean = np.empty_like(self._mean)
-        for block, values in each(function, self._blocks, self.client):
+        for block, values in (mean_displacement(b, positions, zeros) for b in self._blocks):
             mean[self._coming[self._blocks.spans[block]]] = values
         return mean
 
@@ -164,25 +159,19 @@ class RepeatSums:
         Too far is ``limit`` times the (n,) noise of a reading of weight 1 [N]. Of a group of two
         both go. The rest is summed again, unless all sums must be made again.
         """
-        rejected = list[RejectedRow]()
-
-        def take(left: WithoutWorst | None) -> None:
+        rejected, ids = list[RejectedRow](), self.campaign.layout.id[self.campaign.layout.enabled]
+        for block in map(self._blocks.__getitem__, blocks):
+            left, change = without_worst(block, noise=noise, limit=limit, ids=ids)
             if left is None:
-                return
-            rejected.extend(left.rejected)
+                continue
+            rejected += left.rejected
             self._blocks.left[left.block.index] = left.block
             displaced = any(is_displaced(self.campaign.cycles[r.cycle]) for r in left.rejected)
             self.stale |= displaced or left.sums is None
             if left.sums is not None and not self.stale:
                 self._keep(left.sums)
-
-        ids = self.campaign.layout.id[self.campaign.layout.enabled]
-        function = partial(without_worst, noise=noise, limit=limit, ids=ids)
-        if blocks:
-            some = map(self._blocks.__getitem__, blocks)
-            change = divided(function, some, take, added, self.client)
             self._by_file = added(self._by_file, change)
-            vars(self).pop("moments", None)  # of the rows before
+        vars(self).pop("moments", None)  # of the rows before
         return rejected
 
 

@@ -7,8 +7,7 @@ by more than its rms displacement, this sensor counts from the mean of each cycl
 holds for most sensors, all of them do.
 
 Rows with the same load, SHAPE and SIGN are a group. A block of groups lists its rows and reads them
-itself, and its sums contain no row. So blocks can be summed in any order, here or by the workers of
-a cluster.
+itself, and its sums contain no row.
 """
 
 from __future__ import annotations

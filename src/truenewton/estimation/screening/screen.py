@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, chi2_ppf, normal_isf, t_isf
-from truenewton.cluster import Client
-from truenewton.errors import FormatError, TooManyOutliers, TrueNewtonError
+from truenewton.errors import TooManyOutliers, TrueNewtonError
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding, about_actuators
@@ -74,18 +73,15 @@ class ScreenedCampaign:
     frozen: tuple[Finding, ...] = ()
 
 
-def screen_campaign(campaign: Campaign, client: Client | None = None) -> ScreenedCampaign:
+def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
     """Read a campaign and leave out rows that differ from their repeats.
 
     FORCE is read once, and blocks with removed rows once more; all of it if the mean of POSITION,
-    or two lone repeats, were removed. With a client its workers read.
+    or two lone repeats, were removed.
 
-    Raises TooManyOutliers if a cycle would lose all its rows, FormatError if rows are in memory,
-    where no worker can read them.
+    Raises TooManyOutliers if a cycle would lose all its rows.
     """
-    if client is not None:
-        _require_stored(campaign)
-    sums = RepeatSums(campaign, client=client)
+    sums = RepeatSums(campaign)
     prints = sums.prints
     apart = compare_files(campaign, prints)
     suspects = (
@@ -105,9 +101,7 @@ def screen_campaign(campaign: Campaign, client: Client | None = None) -> Screene
         accidents, refusal = False, error
     if not accidents:
         try:
-            sums, sound, rejected = _left_out(
-                RepeatSums(campaign, client=client), campaign, accidents=False
-            )
+            sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
             moments = sums.moments
             gross = moments.noise > GROSS_SCATTER * np.sqrt(np.mean(moments.mean**2))
             if refusal is not None and gross:
@@ -194,17 +188,6 @@ def _some(values: Array) -> Array:
     return np.maximum(values, 1e-300)
 
 
-def _require_stored(campaign: Campaign) -> None:
-    """Refuse a campaign whose rows no worker can read."""
-    for cycle in campaign.cycles:
-        if isinstance(cycle.force, np.ndarray):
-            raise FormatError(
-                "its rows are in the memory of this process, where no worker can read them",
-                remedy="read the campaign with read(..., client=client) as well",
-                path=cycle.name,
-            )
-
-
 def _relabelled(campaign: Campaign, prints: RowPrints, files: Sequence[int]) -> tuple[Finding, ...]:
     """Return why rows of some files differ: their labels, or the origin of the files."""
     if not files:
@@ -233,9 +216,8 @@ def _left_out(
         rejected += worst
         campaign = without(campaign, worst)
         if sums.stale:
-            client = sums.client
             del sums  # there is no room for two where the mirror is large
-            sums = RepeatSums(campaign, client=client)
+            sums = RepeatSums(campaign)
     return sums, campaign, rejected
 
 
