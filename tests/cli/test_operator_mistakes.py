@@ -108,7 +108,7 @@ def added(cycle, weight):
 
 NOT, LIMITED = ("rejected",), ("usable", "doubtful")
 REFUSED = (None,)
-IN_ORDER = "in the order of ACTUATORS, or leave the file out"
+IN_ORDER = "in the order of ACTUATORS, or leave it out"
 FORCE_IN, WEIGHTS_IN = "correct the unit of FORCE where", "store WEIGHT and ADDED in N"
 FAULTS = {
     # units and signs, of all files

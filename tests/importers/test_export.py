@@ -9,7 +9,7 @@ from astropy.io import fits
 
 import truenewton as tn
 from helpers.balanced import p45_matrix
-from helpers.foreign_files import N, measured
+from helpers.foreign_files import N, measured, supervisor_folder
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.importers.stored import read_stored
 from truenewton.records.stiffness_matrix import StoredAs
@@ -128,6 +128,17 @@ def test_a_folder_of_opticalib_is_exported_as_it_is_imported(tmp_path, inside):
     code, _, err = inside(*command, tmp_path / "other")
     assert code == 2
     assert "has no positions; give the stiffness file that `truenewton import` wrote" in err
+
+
+def test_a_supervisors_matrix_can_also_be_one_file(tmp_path):
+    supervisor_folder(tmp_path / "meas", positions="coordinates")
+    old = fits.getdata(tmp_path / "meas" / "ff_matrix.fits")
+    calibration = tn.calibrate(tn.stiffness_from(tmp_path / "meas").matrix, "svd")
+    lines = export(tmp_path / "meas", calibration, tmp_path / "new.npy")
+    known = np.where(np.isfinite(calibration.alpha), calibration.alpha, 1.0)
+    np.testing.assert_allclose(np.load(tmp_path / "new.npy"), known[:, None] * old, rtol=1e-14)
+    assert "39 channels" in lines[0]
+    assert not any("track number" in line for line in lines)
 
 
 def test_what_cannot_be_written_back_is_refused_in_one_line(tmp_path):

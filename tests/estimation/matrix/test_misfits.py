@@ -17,6 +17,7 @@ from truenewton.estimation.matrix.couplings import pair_ratios, relative_couplin
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.modes import column_fit, columns_of, likeliest
+from truenewton.estimation.matrix.order import row_order
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.regression import odd_actuators
@@ -214,11 +215,14 @@ def test_noise_alone_does_not_make_alpha_worse_than_no_calibration():
         assert calibration.verdict.level != "rejected"
 
 
-def test_a_matrix_with_rows_in_the_wrong_order_is_refused():
+@pytest.mark.parametrize("rows", [1, -1, 2, 7, 22])
+def test_a_matrix_with_rows_in_the_wrong_order_is_refused(rows):
+    """A shift by 1 or 2 rows is one cycle of all 45."""
     matrix, _ = p45_matrix()
-    turned = np.roll(matrix.stiffness, 7, axis=0)
-    with pytest.raises(RankDeficient, match="do not fit the others"):
-        calibrate(replace(matrix, stiffness=turned))
+    turned = np.roll(matrix.stiffness, rows, axis=0)
+    assert row_order(turned).tolist() == np.roll(np.arange(45), -rows).tolist()
+    with pytest.raises(RankDeficient, match="45 of 45 rows of STIFFNESS are not in the order of"):
+        screen_matrix(replace(matrix, stiffness=turned))
 
 
 def displaced(order):

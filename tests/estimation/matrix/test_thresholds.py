@@ -147,10 +147,11 @@ def row_of_alpha(ratio):
     return len(reasons(k))
 
 
-def sensor_gain(factor):
-    k = sound()[1].copy()
-    k[:, 20] *= factor
-    return misfits.SENSOR_GAIN in reasons(k)
+def sensor_gain(factor, scatter=0.0):
+    """Whether the gain of one sensor is found while those of the others scatter."""
+    gain = np.exp(scatter * np.random.default_rng(3).standard_normal(45))
+    gain[20] = factor
+    return misfits.SENSOR_GAIN in reasons(sound()[1] * gain)
 
 
 def element_changed_by(share):
@@ -276,6 +277,7 @@ CASES = [
     ("MAX_TYPICAL_DISTANCE", lambda x: misplaced(3.5, x), 0.099, 1, 0.101, 0),
     ("MAX_ALPHA_RATIO", row_of_alpha, 2.9, 0, 3.1, 1),
     ("MIN_GAIN_FACTOR", sensor_gain, 1.09, False, 1.11, True),
+    ("MIN_GAIN_DEVIATION", lambda x: sensor_gain(x, 0.02), 1.2, False, 1.3, True),
     ("MIN_ELEMENT_DIFFERENCE", element_changed_by, 0.009, False, 0.011, True),
     ("ELEMENT_TOLERANCE", element_agrees, 0.029, True, 0.031, False),
     ("ASYMMETRY_RATIO", lambda x: unlike(x, 0.01), 0.079, 0, 0.081, 1),

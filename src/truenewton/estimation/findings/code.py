@@ -291,7 +291,7 @@ class Thresholds:
     gradient_sigmas: float = _at(
         7.0,
         Level.DOUBTFUL,
-        "gradient of the sensor gains across the mirror in sigma (noise and scatter of gains), above",
+        "gradient of the sensor gains across the mirror in sigma (noise, scatter of gains), above",
     )
     column_noise: float = _at(
         60.0, Level.USABLE, "squared imbalance of a column / median of all columns, above"

@@ -306,6 +306,11 @@ def bad_actuators(
 
     order = row_order(k)
     moved = np.flatnonzero(order != np.arange(n))
+    if 2 * len(moved) > n:
+        raise RankDeficient(
+            f"{len(moved)} of {n} rows of STIFFNESS are not in the order of its columns",
+            remedy="put the rows of STIFFNESS in the order of its columns, that of ACTUATORS",
+        )
     add(OTHER_ORDER, ((i, 1.0) for i in moved))
     own = np.diag(k[order])
     sign = 1.0 if np.count_nonzero(own > 0.0) >= np.count_nonzero(own < 0.0) else -1.0

@@ -97,18 +97,22 @@ def row_order(k: Array) -> NDArray[np.int64]:
         while (after := int(order[cycle[-1]])) != cycle[0]:
             left.remove(after)
             cycle.append(after)
-        at = np.array(cycle)
-        if _likeness(k, order, at, at) >= _likeness(k, order, at, order[at]):
-            order[at] = at
+        at, before = np.array(cycle), order.copy()
+        before[at] = at
+        if _likeness(k, before, at) >= _likeness(k, order, at):
+            order = before
     return order
 
 
-def _likeness(
-    k: Array, order: NDArray[np.int64], at: NDArray[np.int64], rows: NDArray[np.int64]
-) -> float:
-    """Return the similarity of rows to the columns ``at``, by the elements of all others."""
-    others = np.delete(np.arange(len(k)), at)
-    r, c = k[np.ix_(rows, others)], k[np.ix_(order[others], at)].T
+def _likeness(k: Array, order: NDArray[np.int64], at: NDArray[np.int64]) -> float:
+    """Return the similarity of rows in an order to the columns ``at``.
+
+    It is that of the elements of all others, as one wrong element may be why rows are exchanged;
+    unless these are fewer.
+    """
+    every = np.arange(len(k))
+    others = np.delete(every, at) if 2 * len(at) < len(k) else every
+    r, c = k[np.ix_(order[at], others)], k[np.ix_(order[others], at)].T
     sizes = np.linalg.norm(r, axis=1) * np.linalg.norm(c, axis=1)
     return float(np.sum(np.abs(np.sum(r * c, axis=1)) / np.maximum(sizes, 1e-300)))
 
