@@ -114,19 +114,19 @@ def other_files(cause: str) -> Callable[[Callable[[Array], Array]], None]:
 
 @other_files(cause="unit")
 def in_millinewtons(force: Array) -> Array:
-    """FORCE of a file in mN"""  # noqa: D400, D415 (the name of the fault)
+    """FORCE of a file in mN"""
     return 1e3 * force
 
 
 @other_files(cause="sign")
 def negative(force: Array) -> Array:
-    """FORCE of a file of the other sign"""  # noqa: D400, D415
+    """FORCE of a file of the other sign"""
     return -force
 
 
 @other_files(cause="order|exchange")
 def reversed_order(force: Array) -> Array:
-    """FORCE of a file in the reversed order"""  # noqa: D400, D415
+    """FORCE of a file in the reversed order"""
     return force[:, ::-1]
 
 
