@@ -134,10 +134,6 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.SAME_READINGS: _of_input("two columns of FORCE are the same", "check their channels"),
     Code.ORDER_OF_POSITION: _of_input("order of FORCE is not that of POSITION", ORDER_OF_BOTH),
-    Code.MISPLACED_ACTUATOR: _of_input(
-        "actuator is not at its X and Y",
-        "correct X and Y in that row of ACTUATORS, in m",
-    ),
     Code.TWO_MIRRORS: _of_input(
         "two groups of files with different FORCE for the same SHAPE",
         "calibrate one of them alone, or correct the cause. Possible causes: two mirrors, another"
