@@ -152,7 +152,7 @@ def test_a_load_that_never_comes_stops_the_run_and_the_same_call_goes_on(tmp_pat
 
 
 def test_a_load_that_fell_off_between_two_runs_is_missed(tmp_path):
-    stop = at(("bare", 1, 2, 1), altered(temperature=80.0))
+    stop = at(("bare", 2, 2, 1), altered(temperature=80.0))
     with pytest.raises(LimitExceeded):
         tn.acquire(StubBench(spoil=stop), small_plan(), tmp_path / "c")
     wrong = StubBench(put=lambda load: LOADS[1])  # the ring, where the bare mirror was

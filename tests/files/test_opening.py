@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import scipy.io
 
-from truenewton.acquisition.folder import Journal, journal_path
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import (
     FormatError,
@@ -30,7 +29,6 @@ from truenewton.modal.true_stiffness import off_and_slaved
 from truenewton.modal.turbulence import Atmosphere, Pupil
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import layout
-from truenewton.statics.load import Load
 
 
 def header(*cards):
@@ -218,13 +216,6 @@ def test_a_diagonal_stiffness_is_no_glass():
     matrix = StiffnessMatrix("M", datetime.datetime.now(datetime.UTC), where, 1e5 * np.eye(12))
     with pytest.raises(TrueNewtonError, match="STIFFNESS is diagonal: no actuator feels another"):
         calibrate(matrix)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows has none")
-def test_a_journal_is_a_file(tmp_path):
-    device(journal_path(tmp_path, Load("bare"), 1))
-    with pytest.raises(UnreadableFile, match="is a pipe or a device"):
-        Journal(tmp_path, Load("bare"), 1, 8)
 
 
 def test_a_name_of_odd_characters_is_a_label():

@@ -7,10 +7,6 @@ from pathlib import Path
 
 import truenewton as tn
 from tests.helpers.acquisition_plans import write_shapes
-from truenewton.acquisition.acquire import chosen_bench
-from truenewton.acquisition.folder import Journal
-from truenewton.acquisition.plan import read_plan
-from truenewton.bench.protocol import Shape
 from truenewton.files.fits import read_fits
 
 from .foreign import make_foreign
@@ -92,24 +88,7 @@ def make_sound(at: Path) -> None:
     write_shapes(at / "shapes.fits", 1e-7 * read_fits(at / "m.fits").pixels("MODES").T)
     must("calibrate stiffness.fits -o feed.fits", at)
     make_foreign(at)
-    _interrupt(at)
+    for path in (at / "run").glob("ring*.fits"):  # as if it had been stopped in its third cycle
+        path.unlink()
     for k in range(4):
         shutil.rmtree(at / f"d{k}")
-
-
-def _interrupt(at: Path) -> None:
-    """Leave the folder `run` as if it had been stopped in its third cycle."""
-    plan = read_plan(at / "plan.toml")
-    bench = chosen_bench(plan, at)
-    for path in sorted((at / "run").glob("ring*.fits")):
-        path.unlink()
-    journal = Journal(at / "run", plan.loads[1], 1, bench.layout.n)
-    bench.put_on(plan.loads[1])
-    shapes = read_fits(at / "run" / ".shapes").pixels("SHAPES")
-    for k in range(8):
-        shape = Shape(plan.loads[1], 1, k // 2 + 1, (1, -1)[k % 2], shapes[k // 2])
-        bench.command(shape)
-        journal.append(
-            1767225600000000 + 2000000000 + k * 500000, shape, True, bench.read(64), 1e-4
-        )
-    journal.close()

@@ -15,14 +15,11 @@ import numpy as np
 
 from truenewton.acquisition.folder import (
     Finished,
-    Journal,
-    SteadyClock,
     begin_or_resume,
     cycle_names,
+    cycle_of,
     finished_cycles,
-    journal_path,
     locked,
-    remove_journal,
 )
 from truenewton.acquisition.load_order import mounting_words, mountings
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
@@ -30,19 +27,18 @@ from truenewton.acquisition.taker import (
     Guard,
     Interruption,
     Onlooker,
+    Row,
     RunLog,
     SilentOnlooker,
     Taker,
-    force_noise,
     judge,
-    mean_sum,
     shape_name,
     sum_at_rest,
     sum_error,
 )
 from truenewton.arrays import Array
 from truenewton.bench.choice import BENCH_KINDS, Order
-from truenewton.bench.protocol import Bench, Operator, Shape, faults_of, gradients_of
+from truenewton.bench.protocol import Bench, Operator, OwnTime, Shape, faults_of, gradients_of
 from truenewton.bench.simulated.static import seed_of
 from truenewton.errors import (
     BenchFault,
@@ -76,8 +72,8 @@ def acquire(
 ) -> tuple[Path, ...]:
     """Run or resume a plan on a bench, into a folder of cycle files (docs/campaign.md).
 
-    The mirror is always brought to rest at the end. The same call resumes after a stop, and repeats
-    at most one shape.
+    The mirror is always brought to rest at the end. After a stop, the same call takes the cycles
+    that are missing.
 
     Parameters
     ----------
@@ -194,8 +190,13 @@ class Run(Taker):
         for (key, _), cycle in self.complete.items():
             if cycle.total is not None:
                 self.rest_sums[key] = cycle.total
-        ends = [cycle.end for cycle in self.complete.values()]
-        self._clock = SteadyClock(max(ends, default=None))
+        if self.complete:
+            end = max(cycle.end for cycle in self.complete.values())
+            start = min(cycle.start for cycle in self.complete.values())
+            if isinstance(self.bench, OwnTime):  # it begins again with each run
+                self.bench.wait((end - start).total_seconds() + self.plan.pause)
+            else:
+                self._last = end
 
     @contextmanager
     def noted(self) -> Iterator[None]:
@@ -230,13 +231,14 @@ class Run(Taker):
                 why = error.fault if isinstance(error, TrueNewtonError) else error
                 raise BenchFault(
                     f"the mirror may not be at rest ({fault.fault}), after: {why}",
-                    remedy="check the bench; the same command goes on with the campaign",
+                    remedy="check the bench; the same command takes the cycles that are missing",
                     path=self.folder,
                 ) from error
             with suppress(OutputFailed):
                 log.note("rest")
             if isinstance(error, TrueNewtonError):
-                then = "the mirror is at rest, what was taken is kept; the same command goes on"
+                then = "the mirror is at rest, complete cycles are kept; the same command takes the"
+                then += " others"
                 then += ", once that is corrected" if isinstance(error, LimitExceeded) else ""
                 remedy = f"{error.remedy}; {then}" if error.remedy else then
                 raise located(error, self.folder).changed(remedy=remedy) from error
@@ -250,24 +252,18 @@ class Run(Taker):
             if missing := [each for each in cycles if (load.key, each) not in self.complete]:
                 if self.plan.turns > 1:
                     self.onlooker.say(mounting_words(order, index))
-                rest_force = self._put_on(load, missing[0])
+                self._put_on(load, missing[0])
                 for number in missing:
-                    self._take_cycle(load, number, rest_force)
+                    self._take_cycle(load, number)
 
-    def _put_on(self, load: Load, number: int, *, again: bool = False) -> Array:
-        """Have a load put on until the forces show that it is; return those at rest, (n,) [N].
+    def _put_on(self, load: Load, number: int, *, again: bool = False) -> None:
+        """Have a load put on until the forces at rest show that it is.
 
         With ``again``, a person is asked only if the forces do not show that the load is still on.
         """
         self.rest()
         bench: object = self.bench
         sums, layout, message = self.rest_sums, self.bench.layout, ""
-        if load.key not in sums and journal_path(self.folder, load, number).exists():
-            with closing(Journal(self.folder, load, number, layout.n)) as journal:
-                rows = journal.rows()
-            columns = (rows[name] for name in ("force", "shape", "sign", "valid"))
-            if (before := mean_sum(layout, *columns)) is not None:
-                sums[load.key] = before
         rest = Shape(load, number, 0, 1, np.zeros(layout.n))
         ask = not again or self.operator is bench
         for _ in range(MAX_REQUESTS):
@@ -287,7 +283,7 @@ class Run(Taker):
             if on or (ask and on is None):
                 sums[load.key] = total
                 self.guard.check_room(self.plan, self.mirror, load, reading.force)
-                return reading.force
+                return
             ask = True
         raise BenchFault(
             message,
@@ -295,35 +291,20 @@ class Run(Taker):
             " commanded force, positive along +z (docs/hardware.md)",
         )
 
-    def _take_cycle(self, load: Load, number: int, rest_force: Array) -> None:
-        """Take the missing shapes of a cycle, and write its file."""
-        with closing(Journal(self.folder, load, number, self.bench.layout.n)) as journal:
-            count, twin = journal.count, None
-            if count or journal.dropped:
-                self.log.note(
-                    "resume", load=load.name, cycle=number, kept=count, cut=journal.dropped
-                )
-            if count:
-                self.progress = replace(self.progress, done=self.progress.done + count)
-                self._clock.go_on_after(int(journal.rows()["instant"][-1]))
-            if count % 2:  # as its + twin the last one on record counts, which was valid
-                twin = np.array(journal.rows()["force"][-1])
-            for shape_number, sign in self._planned[count:]:
-                # The mirror answers in proportion: what + takes beyond rest, - takes short of it.
-                forecast = None if twin is None or sign > 0 else 2 * rest_force - twin
-                position = sign * self.shapes[shape_number - 1]
-                wanted = Shape(load, number, shape_number, sign, position)
-                twin = self._take_shape(journal, wanted, forecast)
-            cycle = journal.cycle(self.mirror, self.layout, self.bench)
-            path = self.folder / cycle_name(load, number)
-            write_cycle(cycle, path)
-            to_disk(self.folder)  # from here on the cycle is safe
-            self.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
-            del cycle  # its rows are mapped from the journal, which Windows would not remove
-        remove_journal(self.folder, load, number)
+    def _take_cycle(self, load: Load, number: int) -> None:
+        """Take the shapes of a cycle, and write its file in one step."""
+        rows = [
+            self._take_shape(Shape(load, number, shape, sign, sign * self.shapes[shape - 1]))
+            for shape, sign in self._planned
+        ]
+        cycle = cycle_of(rows, self.mirror, self.layout, self.bench)
+        path = self.folder / cycle_name(load, number)
+        write_cycle(cycle, path)
+        to_disk(self.folder)  # from here on the cycle is safe
+        self.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
 
-    def _take_shape(self, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
-        """Take one shape into the journal; return its forces [N] if they are valid."""
+    def _take_shape(self, shape: Shape) -> Row:
+        """Take one shape."""
 
         def put_on_again(why: str) -> None:  # as after its electronics were restarted
             self.log.note("load again", shape, why=why)
@@ -335,13 +316,9 @@ class Run(Taker):
 
         try:
             self.interruption.check()
-            reading, fault = self.take(shape, forecast, put_on_again)
+            reading, fault = self.take(shape, put_on_again)
         except Interrupted:
             raise Interrupted(f"stopped as asked, before {shape_name(shape)}") from None
-        sound = None if fault else reading
-        instant = self._clock.instant(sound.time if sound else None)
-        noise = force_noise(self.bench.layout, reading)
-        journal.append(instant, shape, not fault, reading, noise)
         now = self.progress
         in_a_row = now.invalid_in_a_row + 1 if fault else 0
         self.progress = replace(now, shape=shape, done=now.done + 1,
@@ -355,4 +332,4 @@ class Run(Taker):
                 f" {fault}",
                 remedy="check the bench",
             )
-        return sound.force if sound else None
+        return Row(shape, reading, not fault)

@@ -65,13 +65,10 @@ class Guard:
         said = f"may take {{:.4g}} N, {force:g} N for the shapes included, beyond its limit of"
         self._refuse(largest, self.limits.force, said, f"at rest under '{load.name}'")
 
-    def check_command(self, shape: Shape, forecast: Array | None) -> None:
-        """Refuse a command before it is given, also by its forecast (n,) forces [N], if any."""
+    def check_command(self, shape: Shape) -> None:
+        """Refuse a command before it is given."""
         where = f"in {shape_name(shape)}, which was not commanded"
         self._check_planned_stroke(shape.position, where)
-        if forecast is not None:
-            said = "takes {:.4g} N by forecast, beyond its limit of"
-            self._refuse(self._enabled(forecast), self.limits.force, said, where)
 
     def check_reading(self, shape: Shape, reading: Reading) -> None:
         """Refuse a reading beyond a limit; NaN is not judged here."""
@@ -322,6 +319,15 @@ class SilentOnlooker:
         """Show nothing."""
 
 
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A shape that was taken: its last reading, if any, and whether that is valid."""
+
+    shape: Shape
+    reading: Reading | None
+    valid: bool
+
+
 @dataclass(eq=False)
 class Taker:
     """Takes shapes on a bench, and remembers what the next reading is compared with."""
@@ -339,23 +345,20 @@ class Taker:
         first = Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n))
         self.progress = Progress(first, plan.cycles, smallest_gap=bench.gap)
         self._counter: int | None = None
+        self._last: datetime.datetime | None = None  # time of the last sound reading
         self._sound: tuple[Shape, Reading] | None = None  # the last
         self._rest: Reading | None = None  # the last of the mirror at rest
 
     def take(
-        self,
-        shape: Shape,
-        forecast: Array | None = None,
-        refused: Callable[[str], None] | None = None,
+        self, shape: Shape, refused: Callable[[str], None] | None = None
     ) -> tuple[Reading | None, str]:
         """Command a shape and read it, up to `MAX_ATTEMPTS` times.
 
-        Return the last reading, if any, and why it is not valid, or ''. The (n,) ``forecast`` of
-        the forces [N] is checked against the limits first. If the bench refuses the command,
-        ``refused`` is called once with the reason. A bench that is gone for too long is a
+        Return the last reading, if any, and why it is not valid, or ''. If the bench refuses the
+        command, ``refused`` is called once with the reason. A bench that is gone for too long is a
         `BenchFault`.
         """
-        self.guard.check_command(shape, forecast)
+        self.guard.check_command(shape)
         reading, fault = None, ""
         for attempt in range(1, MAX_ATTEMPTS + 1):
             self._await_bench()
@@ -373,7 +376,7 @@ class Taker:
                 fault = self._unsound(shape, reading)
                 self._counter = reading.counter
                 if not fault:
-                    self._sound = shape, reading
+                    self._sound, self._last = (shape, reading), reading.time
                     self._rest = self._rest if shape.number else reading
                     break
             self.log.note("not sound", shape, attempt=attempt, fault=fault)
@@ -443,6 +446,11 @@ class Taker:
             before = self._sound[1]
         if reading.counter == self._counter:
             return f"the counter stands still at {reading.counter}: the reading is stale"
+        if self._last is not None and reading.time < self._last:
+            return (
+                f"the reading is of {reading.time:%Y-%m-%d %H:%M:%S}, before the last one of"
+                f" {self._last:%Y-%m-%d %H:%M:%S}: the clock of the bench was set back"
+            )
         for name, values in (("force", reading.force), ("position", reading.position)):
             if (wrong := ~np.isfinite(values[on])).any():
                 return f"the {name} of actuator {layout.id[on][wrong][0]} is NaN"

@@ -52,7 +52,7 @@ class Reading:
     Attributes
     ----------
     time
-        When it was taken, UTC.
+        When it was taken; UTC if it has no zone.
     force, position
         (n,) mean commanded force [N] and displacement along +z by the sensors [m].
     force_scatter, position_scatter
@@ -97,6 +97,8 @@ class Reading:
                 f"the time of a reading is {self.time}",
                 remedy="set the clock of the bench; it is UTC",
             )
+        aware = self.time if self.time.tzinfo else self.time.replace(tzinfo=datetime.UTC)
+        object.__setattr__(self, "time", aware.astimezone(datetime.UTC))
         for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
             value = getattr(self, name)
             try:

@@ -97,7 +97,7 @@ def run_acquire(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Run a plan on a bench and write OUTPUT; the same command resumes a stopped run."""
+    """Run a plan on a bench and write OUTPUT; the same command takes missing cycles."""
     from truenewton.acquisition.acquire import acquire, chosen_bench
     from truenewton.acquisition.folder import invalid_rows, is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
