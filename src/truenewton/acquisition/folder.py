@@ -364,8 +364,6 @@ def finished_cycles(
         remove_journal(folder, load, number)  # of a run which was killed before it could do so
         complete[load.key, number] = Finished(
             end=instant_of(cycle.date) + round(float(cycle.time[-1]) * 1e6),
-            total=mean_sum(
-                cycle.layout, np.asarray(cycle.force), cycle.shape, cycle.sign, cycle.valid
-            ),
+            total=mean_sum(cycle.layout, cycle.force, cycle.shape, cycle.sign, cycle.valid),
         )
     return complete
