@@ -1,4 +1,4 @@
-"""Arrays of records: read-only, as JSON, and of the enabled actuators in the order of all."""
+"""Arrays: in blocks, of records read-only, as JSON, of enabled actuators in the order of all."""
 
 from __future__ import annotations
 
@@ -15,6 +15,13 @@ from truenewton.errors import FormatError
 from truenewton.quantities import mask_of, numbers_of, other_unit, unit_of
 
 Array = NDArray[np.float64]
+BLOCK_BYTES = 2**24  # of the rows that are taken at once
+
+
+def blocks(rows: int, row_bytes: int) -> list[slice]:
+    """Cut rows into slices of `BLOCK_BYTES` at most, of one row at least."""
+    step = max(1, BLOCK_BYTES // max(row_bytes, 1))
+    return [slice(start, min(start + step, rows)) for start in range(0, rows, step)]
 
 
 def jsonable(value: Any) -> Any:

@@ -10,8 +10,8 @@ from truenewton.calibration.file import CALIBRATIONS, LACKS
 from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.errors import FormatError, naming
+from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
-from truenewton.records.file import read_file
 from truenewton.records.parts import InParts, Parts, body_or_parts_from, has_parts
 from truenewton.records.reader import AnyPath, Measured, flat, measured_in, open_files
 from truenewton.records.segmented import SegmentedData
@@ -244,7 +244,7 @@ def _compared_kind(path: AnyPath) -> str:
     """Return 'state', 'calibration', or '' for a file of other data."""
     if Path(path).is_dir():
         return "state"
-    extensions = read_file(path).extensions
+    extensions = read_fits(path).extensions
     if "CALIBRATION" in extensions:
         return "calibration"
     return "state" if "STIFFNESS" in extensions else ""

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from truenewton.records import reader
 from truenewton.records.file import write_campaign, write_cycle, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -55,13 +54,6 @@ def edit(path, *edits):
         for change in edits:
             change(hdus)
         hdus.writeto(path, overwrite=True, checksum=True)
-
-
-# Rows in memory, and rows left on disk: of these the refusals are the same, by the same code.
-MEMORY = [
-    pytest.param(2**28, id="in memory"),
-    pytest.param(-1, id="on disk", marks=pytest.mark.study),
-]
 
 
 def keyword(name, value):
@@ -224,12 +216,8 @@ def assert_told(words, line):
     assert remedy in line.split("; ", 1)[1]
 
 
-@pytest.mark.parametrize("in_memory", MEMORY)
 @pytest.mark.parametrize(("fault", "words"), FILE_FAULTS.values(), ids=FILE_FAULTS)
-def test_a_cycle_file_with_a_fault_is_refused_by_name(
-    folder, refused, monkeypatch, in_memory, fault, words
-):
-    monkeypatch.setattr(reader, "IN_MEMORY", in_memory)
+def test_a_cycle_file_with_a_fault_is_refused_by_name(folder, refused, fault, words):
     edit(folder / "ring-001.fits", fault)
     line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
     assert f"{folder}/ring-001.fits: " in line
@@ -274,12 +262,8 @@ def test_a_truncated_file_is_refused_at_every_length(folder, refused, suffix):
         assert f"{path.name}: is " in refused("calibrate", folder)
 
 
-@pytest.mark.parametrize("in_memory", MEMORY)
 @pytest.mark.parametrize("place", ["comment", "data", "padding"])
-def test_a_changed_byte_anywhere_breaks_the_checksum(
-    folder, refused, monkeypatch, in_memory, place
-):
-    monkeypatch.setattr(reader, "IN_MEMORY", in_memory)
+def test_a_changed_byte_anywhere_breaks_the_checksum(folder, refused, place):
     path = folder / "ring-001.fits"
     raw = bytearray(path.read_bytes())
     with fits.open(path) as hdus:

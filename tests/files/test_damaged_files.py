@@ -20,7 +20,6 @@ from fuzz.fits import fits_cards
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonError
 from truenewton.reading import read_data
-from truenewton.records import reader
 from truenewton.records.file import write_cycle
 
 # --- sound files ----------------------------------------------------------------------------------
@@ -99,18 +98,8 @@ def judge(changed, other, other_equations):
 # --- mutations ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("examples", "in_memory"),
-    [
-        (80, 2**28),
-        pytest.param(600, 2**28, marks=pytest.mark.study),
-        pytest.param(200, -1, marks=pytest.mark.study),  # rows are left on disk
-    ],
-)
-def test_a_mutated_file_is_refused_or_gives_the_right_result(
-    sound, tmp_path, monkeypatch, examples, in_memory
-):
-    monkeypatch.setattr(reader, "IN_MEMORY", in_memory)
+@pytest.mark.parametrize("examples", [80, pytest.param(600, marks=pytest.mark.study)])
+def test_a_mutated_file_is_refused_or_gives_the_right_result(sound, tmp_path, examples):
     paths, judgements = (tmp_path / "bare.fits", tmp_path / "ring.fits"), Counter()
     for path, raw in zip(paths, sound, strict=True):
         path.write_bytes(raw)

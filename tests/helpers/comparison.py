@@ -4,13 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from truenewton.files.stored_rows import StoredRows
-
 
 def same(a, b):
     """Return whether two records are equal bit for bit, NaN included, the source aside."""
-    if isinstance(a, StoredRows) or isinstance(b, StoredRows):
-        return same(np.asarray(a), np.asarray(b))
     if dataclasses.is_dataclass(a):
         return type(a) is type(b) and all(
             same(getattr(a, f.name), getattr(b, f.name))

@@ -17,12 +17,9 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.estimation.findings.estimate import Sensor
 from truenewton.estimation.matrix.misfits import condensed
-from truenewton.estimation.readings import repeats
-from truenewton.estimation.readings import rows as row_blocks
 from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sensors_at
 from truenewton.estimation.screening.screen import screen_campaign
-from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.sensor_model import model_sensors, puck_motion
 from truenewton.mirrors.shell.shell_model import model_shell
@@ -30,9 +27,7 @@ from truenewton.modal.findings import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.reading import read
-from truenewton.records import reader
 from truenewton.records.campaign import Campaign
-from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
 from truenewton.statics.layout import Layout, rings
@@ -232,20 +227,6 @@ def test_rows_that_stand_off_from_their_repeats_are_left_out():
     assert np.array_equal(found.matrix.stiffness, clean.matrix.stiffness)
     assert (clean.rejected, clean.rows) == ((), 3 * 2 * 90 - 3)
     assert apart(found, bench) == pytest.approx(found.relative_error, rel=0.25)
-
-
-def test_rows_may_stay_on_disk(tmp_path, monkeypatch):
-    _, campaign, _ = spoilt()
-    write_campaign(campaign.cycles, tmp_path / "campaign")
-    monkeypatch.setattr(reader, "IN_MEMORY", -1)
-    for module in (stored_rows, repeats, row_blocks):
-        monkeypatch.setattr(module, "BLOCK_BYTES", 16000)
-    stored = read(tmp_path / "campaign")
-    assert not isinstance(stored.cycles[0].position, np.ndarray)
-    one, other = measured_stiffness(stored), measured_stiffness(campaign)
-    assert one.matrix.stiffness == pytest.approx(other.matrix.stiffness, rel=1e-7, abs=1e-3)
-    assert one.relative_error == pytest.approx(other.relative_error, rel=1e-7)
-    assert one.rejected == other.rejected
 
 
 def test_disabled_actuators_take_no_part_and_quiet_cycles_count_for_more():

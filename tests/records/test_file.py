@@ -16,7 +16,6 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import FormatError
 from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.reading import read
-from truenewton.records import reader
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign, write_cycle, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -315,9 +314,7 @@ def test_unknown_keywords_columns_and_extensions_are_left_alone(tiny, bare_file)
     assert same(cycle, tiny.cycles[0])
 
 
-def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(
-    tiny, tmp_path, monkeypatch
-):
+def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(tiny, tmp_path):
     cycle = tiny.cycles[0]
     header = {
         "INSTRUME": "TINY", "DATE-OBS": "2026-05-04T11:30:00+02:00", "LOAD": "bare", "CYCLE": 1,
@@ -344,7 +341,6 @@ def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(
     )
     hdus[1].header["TSCAL1"], hdus[1].header["TZERO1"] = 0.05, 100.0
     hdus.writeto(tmp_path / "c.fits")
-    monkeypatch.setattr(reader, "IN_MEMORY", -1)  # scaled columns are read all the same
     [back] = read(tmp_path / "c.fits").cycles
     assert isinstance(back.force, np.ndarray)
     with fits.open(tmp_path / "c.fits") as hdus:

@@ -32,9 +32,8 @@ def path(cycles, tmp_path):
     return tmp_path / "ring.fits"
 
 
-@pytest.mark.parametrize("whole", [True, False])
-def test_a_file_gives_back_what_each_segment_was(three, cycles, path, whole):
-    made = cycle_from(read_fits(path, whole=whole))
+def test_a_file_gives_back_what_each_segment_was(three, cycles, path):
+    made = cycle_from(read_fits(path))
     assert made.segments == cycles[-1].segments
     assert made.layout.same_as(cycles[-1].layout)
     for number, campaign in enumerate(three[0], 1):

@@ -221,8 +221,6 @@ def finished_cycles(
         complete[load.key, number] = Finished(
             start=cycle.date,
             end=cycle.date + datetime.timedelta(seconds=float(cycle.time[-1])),
-            total=mean_sum(
-                cycle.layout, np.asarray(cycle.force), cycle.shape, cycle.sign, cycle.valid
-            ),
+            total=mean_sum(cycle.layout, cycle.force, cycle.shape, cycle.sign, cycle.valid),
         )
     return complete

@@ -485,7 +485,7 @@ def disabled(data: Campaign | StiffnessMatrix, ids: Sequence[int]) -> Campaign |
         return replace(data, layout=_disable(data.layout, np.isin(data.layout.id, ids)))
     out = np.isin(data.layout.id, ids)
     for cycle in data.cycles:
-        out &= np.ptp(np.asarray(cycle.force)[np.asarray(cycle.valid)], axis=0) == 0.0
+        out &= np.ptp(cycle.force[cycle.valid], axis=0) == 0.0
     if not out.any():
         return data
     cycles = tuple(replace(c, layout=_disable(c.layout, out)) for c in data.cycles)

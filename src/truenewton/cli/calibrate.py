@@ -32,11 +32,11 @@ def run_info(
     """Print what files contain, and whether alpha can be calibrated from them."""
     from truenewton.calibration.summary import detail_lines
     from truenewton.calibration.survey import survey
+    from truenewton.files.fits import read_fits
     from truenewton.reading import holds_alpha, read_chosen
-    from truenewton.records.file import read_file
 
     if len(paths) == 1 and paths[0].is_file():
-        file = read_file(paths[0], whole=False)
+        file = read_fits(paths[0])
         if {"TRACKING", "LAW"}.intersection(file.extensions):
             _print_law(paths[0], segment, json=json, quiet=quiet, verbose=verbose)
             return

@@ -5,7 +5,6 @@ values       keys of JSON objects, each declared once for its values and its sch
 fits         reading and writing FITS: the only importer of astropy.io.fits
 content      what a file contains, by name, type and unit
 opening      files that are opened for reading: plain files only, texts, gzipped bytes
-stored_rows  rows of a table that stay in their file, for campaigns larger than memory
 outputs      outputs written beside their target, then renamed
 toml         TOML tables, checked against the dataclass that they fill
 """

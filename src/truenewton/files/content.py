@@ -6,8 +6,7 @@ import datetime
 import math
 import warnings
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 import astropy.units as u
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, TrueNewtonError, naming
 from truenewton.files.format import REQUIRED, STORED, Column, FileFormat, Keyword, TableFormat
-from truenewton.files.stored_rows import StoredRows
 from truenewton.linalg import covariance_fault
 from truenewton.rounding import counted
 
@@ -31,8 +29,8 @@ class Table(NamedTuple):
     """A binary table as it was read."""
 
     rows: int
-    # By upper-case name: values in native byte order, or left in the file, and their unit or ''.
-    columns: Mapping[str, tuple[NDArray[Any] | StoredRows, str]]
+    # By upper-case name: values in native byte order, and their unit or ''.
+    columns: Mapping[str, tuple[NDArray[Any], str]]
 
 
 class Image(NamedTuple):
@@ -134,13 +132,12 @@ class FitsFile:
             self._refuse(f"{what} holds {values.dtype}", f"store {words}")
         stored = column.as_stored(values)
         width = self._extension(column.each, Table).rows if column.each else None
-        if not isinstance(values, StoredRows):
-            try:
-                values = values.astype(stored.dtype, copy=False)
-            except UnicodeDecodeError:
-                self._refuse(f"{what} holds bytes that are not ASCII", "store plain text")
-            if width == 1 and values.ndim == 1:
-                values = values[:, None]
+        try:
+            values = values.astype(stored.dtype, copy=False)
+        except UnicodeDecodeError:
+            self._refuse(f"{what} holds bytes that are not ASCII", "store plain text")
+        if width == 1 and values.ndim == 1:
+            values = values[:, None]
         want = (rows,) if width is None else (rows, width)
         if values.shape != want:
             size = math.prod(values.shape[1:]) if rows else 0
@@ -154,11 +151,7 @@ class FitsFile:
             )
         if column.unit is None:
             return values
-        in_unit = partial(_convert, has=has_unit, want=column.unit, what=what, path=self.path)
-        if isinstance(values, StoredRows):
-            in_unit(np.empty(0))  # refuses a unit before any use
-            return replace(values, in_unit=in_unit)
-        return in_unit(values)
+        return _convert(values, has_unit, column.unit, what, self.path)
 
     def _text(self, value: str, declared: Keyword | Column, what: str) -> Any:
         """Return a text, or the date in it; blank text counts as absent."""

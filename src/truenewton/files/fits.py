@@ -1,6 +1,6 @@
 """Reading and writing FITS: the only importer of astropy.io.fits.
 
-A file is read at once, or long rows stay in it. CHECKSUM and DATASUM are verified if there are any,
+CHECKSUM and DATASUM are verified if there are any,
 and any fault becomes one line that names the file. The same data written twice give the same bytes.
 """
 
@@ -21,6 +21,7 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
+from truenewton.arrays import blocks
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located, naming
 from truenewton.files.content import PRIMARY, FitsFile, Image, Table
 from truenewton.files.format import (
@@ -34,7 +35,6 @@ from truenewton.files.format import (
 )
 from truenewton.files.opening import GZIP, open_plain, refuse_too_large, unpacked
 from truenewton.files.outputs import file_beside
-from truenewton.files.stored_rows import StoredRows, blocks, long_rows, state_of, without_columns
 from truenewton.rounding import listed
 
 START = b"SIMPLE"
@@ -44,28 +44,24 @@ MAX_HEADER_BLOCKS = 2000  # 72,000 cards
 DAMAGE = {"truncated": "is truncated", "corrupted": "is damaged, or bytes follow its end"}
 
 
-def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS file; if not whole, vector columns are left in it, unless it is gzipped."""
+def read_fits(path: str | os.PathLike[str]) -> FitsFile:
+    """Read a FITS file."""
     with naming(path):
-        return _read(os.fspath(path), whole=whole)
+        return _read(os.fspath(path))
 
 
-def _read(path: str, *, whole: bool) -> FitsFile:
+def _read(path: str) -> FitsFile:
     try:
         with open_plain(path) as file:
             packed = file.peek(2)[:2] == GZIP
             if not packed:  # before all of it is read
                 _check_start(file, path)
-            state = None if whole or packed else state_of(file)
-            raw = file.read() if state is None else b""
-            digest = hashlib.sha256(raw) if raw else hashlib.file_digest(file, "sha256")
+            raw = file.read()
+            digest = hashlib.sha256(raw)
         if packed:
             raw = unpacked(raw, path)
             _check_start(io.BytesIO(raw), path)
-        with (
-            io.BytesIO(raw) if state is None else open_plain(path) as stream,
-            warnings.catch_warnings(record=True) as caught,
-        ):
+        with io.BytesIO(raw) as stream, warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             with fits.open(stream, memmap=False) as hdus:
                 hdus.readall()
@@ -78,7 +74,7 @@ def _read(path: str, *, whole: bool) -> FitsFile:
                     _verify_checksums(stream, hdu)
                 refuse_doubles(hdus[0].header.keys(), "keywords")
                 plain = _plain(hdus[0].header)
-                extensions, versions = _extensions(hdus, path, stream, state)
+                extensions, versions = _extensions(hdus, path)
                 return FitsFile(path, digest.hexdigest(), plain, extensions, versions)
     except (UnreadableFile, FormatError):
         raise
@@ -200,9 +196,7 @@ def _plain(header: Any) -> dict[str, Any]:
 Extensions = dict[str, Table | Image | TrueNewtonError]
 
 
-def _extensions(
-    hdus: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] | None
-) -> tuple[Extensions, dict[int, FitsFile]]:
+def _extensions(hdus: Any, path: str) -> tuple[Extensions, dict[int, FitsFile]]:
     """Copy everything out of open HDUs, and once more those of each EXTVER as a file of their own.
 
     What is wrong with an extension waits until asked for.
@@ -217,7 +211,7 @@ def _extensions(
             twins.append(versions.setdefault(version, (_plain(hdu.header), {}))[1])
         double = FormatError(f"there are two {name}", remedy="keep one", path=path)
         new = [each for each in twins if name not in each]
-        held = _held(hdu, name, path, stream, state) if new else None
+        held = _held(hdu, name, path) if new else None
         for each in twins:
             if each not in new:
                 each[name] = double
@@ -228,14 +222,12 @@ def _extensions(
     }
 
 
-def _held(
-    hdu: Any, name: str, path: str, stream: BufferedIOBase, state: tuple[int, int] | None
-) -> Table | Image | TrueNewtonError | None:
+def _held(hdu: Any, name: str, path: str) -> Table | Image | TrueNewtonError | None:
     """Return the contents of an extension, or its fault; None for other kinds."""
     try:
         refuse_doubles(hdu.header.keys(), "keywords")
         if isinstance(hdu, fits.BinTableHDU):
-            return _table(hdu, path, stream, state)
+            return _table(hdu)
         if isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
             return Image(_native(hdu.data), str(hdu.header.get("BUNIT", "")))
     except TrueNewtonError as error:
@@ -253,30 +245,27 @@ def refuse_doubles(names: Iterable[str], what: str) -> None:
         raise FormatError(f"there are two {what} {listed(doubles, 3)}", remedy="keep one of each")
 
 
-def _table(hdu: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] | None) -> Table:
-    """Copy a table; if its file has a ``state``, long rows stay in it."""
+def _table(hdu: Any) -> Table:
+    """Copy a table."""
     refuse_doubles([str(key).upper() for key in hdu.columns.names], "columns")
     if hdu.columns.dtype.itemsize != hdu.header["NAXIS1"]:
         fault = f"is damaged: the columns of {hdu.name} do not make its rows"
         raise UnreadableFile(fault, remedy="fetch the file again")
-    left: dict[str, StoredRows] = {}
-    if state:
-        left = long_rows(hdu, path, state)
-        hdu = without_columns(stream, hdu, left)
-    columns: dict[str, tuple[NDArray[Any] | StoredRows, str]] = {}
+    columns: dict[str, tuple[NDArray[Any], str]] = {}
     for column in hdu.columns:
-        values: NDArray[Any] | StoredRows | None = left.get(column.name)
-        if values is None and str(column.format).lstrip("0123456789")[:1] in ("P", "Q"):
+        if str(column.format).lstrip("0123456789")[:1] in ("P", "Q"):
             values = np.empty(len(hdu.data), dtype=object)  # no format of ours has such vectors
-        elif values is None:
+        else:
             values = _native(np.asarray(hdu.data[column.name]))
         columns[str(column.name).upper()] = values, str(column.unit or "")
     return Table(len(hdu.data), columns)
 
 
 def _native(values: NDArray[Any]) -> NDArray[Any]:
-    """Copy to the machine's byte order."""
-    return np.array(values, dtype=values.dtype.newbyteorder("="), order="C")
+    """Copy to the machine's byte order, read-only so that a record need not copy it again."""
+    copy = np.array(values, dtype=values.dtype.newbyteorder("="), order="C")
+    copy.setflags(write=False)
+    return copy
 
 
 def write_fits(

@@ -239,7 +239,7 @@ def _unlikely_forces(made: Campaign) -> Iterator[str]:
 def _sums_of_forces(cycle: Cycle) -> Array:
     """Return the sum of forces along z in each valid row [N]."""
     used = cycle.layout.enabled
-    return np.asarray(cycle.force)[cycle.valid][:, used] @ cycle.layout.nz[used]
+    return cycle.force[cycle.valid][:, used] @ cycle.layout.nz[used]
 
 
 def _thousands(values: Array) -> bool:

@@ -21,7 +21,7 @@ from truenewton.calibration.verdict import refusal_of
 from truenewton.errors import CampaignMismatch, FormatError, OutputExists, TrueNewtonError
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale
-from truenewton.files.fits import write_fits
+from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import FileFormat, Keyword
 from truenewton.files.outputs import file_beside, folder_beside
 from truenewton.importers.importing import stiffness_from
@@ -35,7 +35,6 @@ from truenewton.importers.inputs import (
 )
 from truenewton.importers.selection import MAX_NAMED
 from truenewton.importers.stored import read_stored
-from truenewton.records.file import read_file
 from truenewton.records.file import stiffness_from as matrix_in_file
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, named
@@ -247,7 +246,7 @@ WRITERS: dict[str, Callable[[Path, Any], None]] = {
 def _in_file(path: Path, calibration: Calibration) -> _Source:
     """Return the matrix in a stiffness file as the file that was imported stores it."""
     try:
-        matrix = matrix_in_file(read_file(path))
+        matrix = matrix_in_file(read_fits(path))
     except TrueNewtonError as error:
         if not path.exists():
             raise

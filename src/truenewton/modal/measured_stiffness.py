@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, freeze
+from truenewton.arrays import Array, blocks, freeze
 from truenewton.errors import RankDeficient
 from truenewton.estimation.checks import refusal_naming
 from truenewton.estimation.findings.estimate import RejectedRow
@@ -32,7 +32,6 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.readings.repeats import RowBlock, read_rows
 from truenewton.estimation.readings.rows import distinct, row_groups, row_weights
 from truenewton.estimation.screening.screen import ScreenedCampaign, frozen_sensors, screen_campaign
-from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -275,7 +274,7 @@ def motion_reader(screened: ScreenedCampaign) -> MotionReader:
     positioned = [
         k
         for k, cycle in enumerate(campaign.cycles)  # POSITION may be zeros
-        if cycle.position is not None and largest_in_rows(cycle.position, on)[cycle.valid].any()
+        if cycle.position is not None and cycle.position[np.ix_(cycle.valid, on)].any()
     ]
     if not positioned:
         raise RankDeficient(
@@ -361,7 +360,7 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     )
 
 
-def _displacements(cycle: Cycle, positions: Rows) -> Rows:
+def _displacements(cycle: Cycle, positions: Array) -> Array:
     """Return (N, n) readings relative to rest.
 
     Rest is the median over shapes of the mean of a shape and its negative, which outliers do not
@@ -373,9 +372,6 @@ def _displacements(cycle: Cycle, positions: Rows) -> Rows:
     rest, on = np.zeros(cycle.layout.n), cycle.layout.enabled
     pairs = (cycle.used(positions, rows) for rows in (up[first], down[second]))
     rest[on] = np.median(0.5 * sum(pairs), axis=0) if first.size else cycle.rest_position
-    if isinstance(positions, StoredRows):
-        in_unit = positions.in_unit
-        return replace(positions, in_unit=lambda values: in_unit(values) - rest)
     return positions - rest
 
 

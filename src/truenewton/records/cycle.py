@@ -11,9 +11,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, freeze
+from truenewton.arrays import Array, blocks, freeze
 from truenewton.errors import FormatError
-from truenewton.files.stored_rows import Rows, StoredRows, blocks, columns_of, largest_in_rows
 from truenewton.quantities import Quantity, check_quantities, convert_quantities, mask_of
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
@@ -145,8 +144,7 @@ class Cycle:
         (N,) seconds since ``date``; index of the shape from 1; +1 or -1; false for rows that are
         not used, whatever they contain.
     force
-        (N, n) commanded forces c [N]; `StoredRows` if they stay in their file, which
-        ``numpy.asarray`` reads.
+        (N, n) commanded forces c [N].
     temperature, position
         (N,) [deg C] and (N, n) [m], or None.
     coil_gradient, bias_gradient
@@ -171,7 +169,7 @@ class Cycle:
     >>> cycle = campaign.cycles[0]
     >>> cycle.load.name, cycle.force.shape
     ('bare', (90, 45))
-    >>> stronger = dataclasses.replace(cycle, force=0.9 * np.asarray(cycle.force))
+    >>> stronger = dataclasses.replace(cycle, force=0.9 * cycle.force)
     """
 
     QUANTITIES: ClassVar = MIRROR_WEIGHT | {
@@ -209,10 +207,10 @@ class Cycle:
     time: Array
     shape: NDArray[np.int64]
     sign: NDArray[np.int64]
-    force: Rows
+    force: Array
     valid: NDArray[np.bool_]
     temperature: Array | None = None
-    position: Rows | None = None
+    position: Array | None = None
     coil_gradient: float | None = None
     bias_gradient: float | None = None
     gap: float | None = None
@@ -226,7 +224,7 @@ class Cycle:
         self._check_segments()
         self._take_masks()
         for name, dtype in ARRAYS.items():
-            if not isinstance(getattr(self, name), StoredRows | None):
+            if getattr(self, name) is not None:
                 freeze(self, name, dtype=dtype)
         check_date(self.date)
         if self.times not in (None, ASSUMED):
@@ -298,7 +296,7 @@ class Cycle:
         values, largest = getattr(self, name), quantity.high
         counted = self.layout.enabled if values.ndim == 2 else np.ones(1, dtype=bool)
         values = values if values.ndim == 2 else values[:, None]
-        for row in np.flatnonzero(~(largest_in_rows(values, counted) <= largest) & self.valid):
+        for row in np.flatnonzero(~(_largest(values, counted) <= largest) & self.valid):
             some = values[row][counted]
             wrong = ~(np.abs(some) <= largest)
             bad, of, remedy = some[wrong][0], "", "mark the row as not VALID, or correct it"
@@ -330,21 +328,17 @@ class Cycle:
         """Return the data of one segment as those of a mirror in one piece."""
         (own,) = [segment for segment in self.segments if segment.number == number]
         chosen = np.asarray(self.layout.segment) == number
-        part = replace(
+        return replace(
             self,
             instrument=f"{self.instrument} segment {number}",
             load=replace(self.load, added=own.added, added_error=own.added_error),
             weight=own.weight,
             weight_error=own.weight_error,
             layout=self.layout.part(chosen),
-            force=columns_of(self.force, chosen),
-            position=None if self.position is None else columns_of(self.position, chosen),
+            force=self.force[:, chosen],
+            position=None if self.position is None else self.position[:, chosen],
             segments=(),
         )
-        if "_rest_and_stroke" in vars(self):  # so that POSITION is not read again
-            own_enabled = chosen[self.layout.enabled]
-            vars(part)["_rest_and_stroke"] = tuple(v[own_enabled] for v in self._rest_and_stroke)
-        return part
 
     @property
     def used_force(self) -> Array:
@@ -356,20 +350,20 @@ class Cycle:
         """Indices of the valid rows; None if all are valid."""
         return None if self.valid.all() else np.flatnonzero(self.valid)
 
-    def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
+    def used(self, values: Array, rows: slice | NDArray[np.int64]) -> Array:
         """Return FORCE [N] or POSITION [m] of some of the valid rows, (rows, n_enabled)."""
         chosen = values[rows if self._counting is None else self._counting[rows]]
         return chosen if self.layout.enabled.all() else chosen[:, self.layout.enabled]
 
     @cached_property
     def used_blocks(self) -> list[slice]:
-        """The blocks in which valid rows are read."""
+        """The blocks in which valid rows are taken."""
         return blocks(int(self.valid.sum()), 8 * self.layout.n)
 
     @property
     def largest_force(self) -> float:
         """Largest commanded force of valid rows and enabled actuators [N]."""
-        return float(largest_in_rows(self.force, self.layout.enabled)[self.valid].max())
+        return float(_largest(self.force, self.layout.enabled)[self.valid].max())
 
     @cached_property
     def _paired(self) -> NDArray[np.bool_]:
@@ -412,6 +406,14 @@ class Cycle:
         rest, mean = sums / counted.sum(axis=1)[:, None]
         square = square / self._paired.size - 2.0 * rest * mean + rest**2
         return first + rest, np.sqrt(np.maximum(square, 0.0))
+
+
+def _largest(values: Array, columns: NDArray[np.bool_]) -> Array:
+    """Return (N,) the largest magnitude of some columns in each row; NaN if one is NaN."""
+    largest = np.empty(len(values))
+    for some in blocks(len(values), 8 * values.shape[1]):
+        largest[some] = np.abs(values[some][:, columns]).max(axis=1, initial=0.0)
+    return largest
 
 
 def common_rest(cycles: Sequence[Cycle]) -> Array:

@@ -121,11 +121,6 @@ SOURCES = TableFormat(
 )
 
 
-def read_file(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
-    """Read a FITS file; if not whole, vector columns stay on disk."""
-    return read_fits(path, whole=whole)
-
-
 def layout_from(file: FitsFile) -> Layout:
     """Return the layout in a file's ACTUATORS table."""
     return file.filled(Layout, file.values(FileFormat(extensions=(ACTUATORS,)))["layout"])
@@ -133,7 +128,7 @@ def layout_from(file: FitsFile) -> Layout:
 
 def read_layout(path: str | os.PathLike[str]) -> Layout:
     """Read the ACTUATORS table of any file that has one."""
-    return layout_from(read_file(path, whole=False))
+    return layout_from(read_fits(path))
 
 
 def cycle_from(file: FitsFile) -> Cycle:

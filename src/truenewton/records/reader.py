@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 
 from truenewton.errors import Fault, FormatError, TrueNewtonError, UnreadableFile
 from truenewton.files.content import FitsFile
+from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
-from truenewton.records.file import cycle_from, fits_paths, holds_cycle, read_file, stiffness_from
+from truenewton.records.file import cycle_from, fits_paths, holds_cycle, stiffness_from
 from truenewton.records.segmented import SegmentedData, in_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 AnyPath = str | os.PathLike[str]
 Measured = Campaign | StiffnessMatrix | SegmentedData
-IN_MEMORY = 2**28  # bytes; FORCE and POSITION of files that are larger in total stay on disk
 FOREIGN = {  # extensions of files that cannot be calibrated: what the file is, and what to do
     "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
     "MODES": Fault(
@@ -50,9 +50,9 @@ class Opened(NamedTuple):
         return cycle_from(self.file) if self.cycle is None else self.cycle
 
 
-def open_file(path: AnyPath, *, whole: bool) -> Opened:
-    """Open a file; if not whole, vector columns stay on disk."""
-    file = read_file(path, whole=whole)
+def open_file(path: AnyPath) -> Opened:
+    """Open a file."""
+    file = read_fits(path)
     if not holds_cycle(file):
         return Opened(file, None)
     try:
@@ -65,9 +65,7 @@ def open_file(path: AnyPath, *, whole: bool) -> Opened:
 
 def open_files(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[Opened]:
     """Open the files of paths and folders."""
-    every = fits_paths(flat(paths))
-    whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
-    return [open_file(path, whole=whole) for path in every]
+    return [open_file(path) for path in fits_paths(flat(paths))]
 
 
 def measured_in(opened: Sequence[Opened]) -> Measured:

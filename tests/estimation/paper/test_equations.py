@@ -1,5 +1,6 @@
 """The systems C, D and E compared with eqs. 3 and 4 of the paper, element by element."""
 
+import dataclasses
 import importlib
 import pkgutil
 import re
@@ -7,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
 
-from helpers.balanced import campaign_of, three_loads
-from truenewton import estimation
+from helpers.balanced import arms_of, campaign_of, three_loads
+from truenewton import arrays, estimation
 from truenewton.estimation.paper.equations import Unknowns, load_force, system_c, system_d, system_e
+from truenewton.estimation.paper.svd import from_rows
 from truenewton.statics.arms import enabled_arms
 
 
@@ -115,3 +118,19 @@ def test_every_module_of_the_method_is_listed():
     listed = set(re.findall(r"^    (\w+)  ", estimation.__doc__, flags=re.MULTILINE))
     files = {info.name for info in pkgutil.iter_modules(estimation.__path__)}
     assert listed == files
+
+
+def test_a_cycle_near_rank_deficiency_is_solved_from_its_rows(monkeypatch):
+    """A block after the other is solved as all rows at once."""
+    monkeypatch.setattr(arrays, "BLOCK_BYTES", 800)
+    campaign, truth = campaign_of(seed=14, noise=1e-3, cycles=1)
+    cycle, a = campaign.cycles[0], arms_of(campaign.layout)
+    force = cycle.force.copy()
+    force[:, 0] *= 1e-7
+    cycle = dataclasses.replace(cycle, force=force)
+    external = (-2.9, *truth[14:17].tolist())
+    matrix, right = system_c(force, a, *external)
+    values = scipy.linalg.svdvals(matrix)
+    assert 1e5 < values[0] / values[-1] < 1e9
+    found = from_rows(cycle, a, external)
+    assert found == pytest.approx(scipy.linalg.lstsq(matrix, right)[0], rel=1e-6)

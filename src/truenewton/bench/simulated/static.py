@@ -415,7 +415,7 @@ def _joined(mirror: SegmentedMirror, parts: Sequence[Cycle]) -> Cycle:
         weight=sums["weight"],
         weight_error=sums["weight_error"],
         layout=mirror.layout,
-        force=np.concatenate([np.asarray(part.force) for part in parts], axis=1),
+        force=np.concatenate([part.force for part in parts], axis=1),
         position=np.concatenate([np.asarray(part.position) for part in parts], axis=1),
         segments=segments,
     )

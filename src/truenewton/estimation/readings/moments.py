@@ -45,12 +45,11 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, blocks
 from truenewton.chance import OF_EACH_KIND, chi2_sf, f_sf, normal_isf, t_isf
 from truenewton.estimation.findings.code import LIMITS
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.readings.rows import WEIGHED_NOISE
-from truenewton.files.stored_rows import blocks
 from truenewton.linalg import mirrored
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load

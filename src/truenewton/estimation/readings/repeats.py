@@ -17,7 +17,7 @@ from functools import cached_property, reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array
+from truenewton.arrays import BLOCK_BYTES, Array
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.readings.moments import Moments, WithinGroups, rounding_steps
 from truenewton.estimation.readings.rows import (
@@ -35,7 +35,6 @@ from truenewton.estimation.readings.rows import (
     sums_of,
     without_worst,
 )
-from truenewton.files.stored_rows import BLOCK_BYTES
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 

@@ -20,9 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array
+from truenewton.arrays import BLOCK_BYTES, Array
 from truenewton.estimation.findings.estimate import RejectedRow
-from truenewton.files.stored_rows import BLOCK_BYTES, Rows
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle, common_rest
@@ -78,10 +77,10 @@ def is_displaced(cycle: Cycle) -> bool:
 class BalancedRows:
     """The rows of a cycle, corrected for POSITION."""
 
-    # (N, all) commanded forces [N] and readings [m], in memory or in their file; position is None
-    # if it does not change the balance
-    force: Rows
-    position: Rows | None
+    # (N, all) commanded forces [N] and readings [m]; position is None if it does not change the
+    # balance
+    force: Array
+    position: Array | None
     enabled: NDArray[np.bool_]  # (all,) which of the actuators take part, n of them
     a: Array  # (3, n) arms of these
     # (n,) readings from which displacements relative to the coils count [m]; of coils that have
@@ -109,7 +108,7 @@ class BalancedRows:
         z = position - self.zero
         return force * (1.0 + self.coil * z), self.bias * z @ self.a.T
 
-    def used(self, values: Rows, rows: Selection) -> Array:
+    def used(self, values: Array, rows: Selection) -> Array:
         """Return FORCE [N] or POSITION [m] of some rows, (m, n)."""
         chosen = values[rows]
         return chosen if self.enabled.all() else chosen[:, self.enabled]
@@ -509,7 +508,7 @@ def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSum
 
 
 def mean_displacement(
-    block: GroupBlock, positions: Sequence[Rows], zeros: Sequence[Array]
+    block: GroupBlock, positions: Sequence[Array], zeros: Sequence[Array]
 ) -> tuple[int, Array]:
     """Read POSITION of a block; return its index, and (groups, n) mean displacements [m].
 

@@ -203,10 +203,8 @@ MIN_SAME_SHIFT_FRACTION = 0.8  # of these are shifted alike
 def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding, ...]:
     """Return files whose rows fit other labels than theirs: SIGN reversed, or SHAPE renumbered.
 
-    Only of ``files`` whose rows differ from their repeats, and if all rows are in memory.
+    Only of ``files`` whose rows differ from their repeats.
     """
-    if not all(isinstance(cycle.force, np.ndarray) for cycle in campaign.cycles):
-        return ()
     rows = [cycle.used_force - cycle.used_force[cycle.paired_rows].mean(axis=0)
             for cycle in campaign.cycles]  # fmt: skip
     labels = [cycle.shape[cycle.valid] * cycle.sign[cycle.valid] for cycle in campaign.cycles]
