@@ -130,7 +130,7 @@ def run_serve(
         help="Folder of certificates, keys and password; created if it does not exist.",
     ),
     port: int = typer.Option(4840, min=1, max=65535, help="TCP port."),
-    segment: int | None = options.SEGMENT,
+    segment: int | None = options.ONE_SEGMENT,
     seed: int = options.SEED,
     noise: float = options.NOISE,
     fidelity: str = options.FIDELITY,

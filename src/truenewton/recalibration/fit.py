@@ -8,11 +8,8 @@ the earlier scale stays common to all (`prior.shared_errors`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from operator import attrgetter
-from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +18,6 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.calibration.workers import executor_for
 from truenewton.chance import FALSE_ALARM, chance_of_any, t_sf
 from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
 from truenewton.estimation.campaign_ml import estimate_of
@@ -61,8 +57,6 @@ from truenewton.recalibration.prior import (
 )
 from truenewton.recalibration.reference import ratios, reference_from
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.parts import Parts, has_parts
-from truenewton.records.segmented import SegmentedData
 from truenewton.rounding import counted, percent
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
@@ -112,24 +106,6 @@ class Recalibration:
         return probability_of(self.chi2, self.degrees_of_freedom)
 
 
-@overload
-def recalibrate(
-    campaign: Campaign, known: AnyKnown, actuators: Sequence[int] = (), *,
-    reference: AnyReference | None = None, accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Recalibration: ...  # fmt: skip
-@overload
-def recalibrate(
-    campaign: SegmentedData, known: AnyKnown, actuators: Sequence[int] = (), *,
-    reference: AnyReference | None = None, accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Parts[Recalibration]: ...  # fmt: skip
-@overload
-def recalibrate(
-    campaign: Read | str | os.PathLike[str], known: AnyKnown, actuators: Sequence[int] = (), *,
-    reference: AnyReference | None = None, accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Recalibration | Parts[Recalibration]: ...  # fmt: skip
 def recalibrate(
     campaign: Read | str | os.PathLike[str],
     known: AnyKnown,
@@ -137,18 +113,15 @@ def recalibrate(
     *,
     reference: AnyReference | None = None,
     accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Recalibration | Parts[Recalibration]:
+) -> Recalibration:
     """Calibrate replaced actuators from a short run and an earlier calibration of the others.
 
     Parameters
     ----------
     campaign
-        The run after the replacement, or its path: one cycle under one load can suffice. In several
-        segments each is recalibrated by itself.
+        The run after the replacement, or its path: one cycle under one load can suffice.
     known
-        The earlier calibration, or the law of `track`, or a path to either; of all segments, or of
-        one.
+        The earlier calibration, or the law of `track`, or a path to either.
     actuators
         IDs of the actuators replaced; if empty, actuators that changed are found.
     reference
@@ -157,8 +130,6 @@ def recalibrate(
         which is several times more precise. The run needs POSITION.
     accept_rejected
         Use an earlier calibration with the verdict 'rejected', too.
-    processes
-        As in `calibrate`.
 
     Raises
     ------
@@ -169,7 +140,7 @@ def recalibrate(
     UnknownName
         There is no such actuator.
     RankDeficient
-        Too few data, or too many actuators moved; in several segments: of all.
+        Too few data, or too many actuators moved.
     TooManyOutliers, NotConverged
 
     Warns
@@ -184,30 +155,11 @@ def recalibrate(
     >>> new.asked, new.moved
     ((17,), ())
     """
-    run: Campaign | SegmentedData = run_from(
-        read(campaign) if isinstance(campaign, str | os.PathLike) else campaign
+    run = run_from(read(campaign) if isinstance(campaign, str | os.PathLike) else campaign)
+    made = _recalibrated(
+        run, known, actuators, reference=reference, accept_rejected=accept_rejected
     )
-    if not has_parts(run):
-        alone = _recalibrated(
-            run, known, actuators, reference=reference, accept_rejected=accept_rejected
-        )
-        warn_of(alone.calibration)
-        return alone
-    _, before = known_for(known, run)
-    earlier = None if reference is None else known_for(reference, run, read_reference)[1]
-    _require_enabled(run.layout, actuators)
-
-    def solver(number: int) -> Callable[[Any], Recalibration]:
-        return partial(
-            _recalibrated,
-            known=before.part(number),
-            actuators=run.own(number, actuators),
-            reference=None if earlier is None else earlier.part(number),
-            accept_rejected=accept_rejected,
-        )
-
-    made = run.solved(solver, "alpha", executor_for(run.layout, processes))
-    warn_of(made.map(attrgetter("calibration")))
+    warn_of(made.calibration)
     return made
 
 
