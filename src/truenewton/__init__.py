@@ -73,8 +73,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.records.file import write_campaign as write_campaign
     from truenewton.records.file import write_cycle as write_cycle
     from truenewton.records.file import write_stiffness as write_stiffness
-    from truenewton.records.parts import Parts as Parts
-    from truenewton.records.segmented import SegmentedData as SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix as StiffnessMatrix
     from truenewton.report.findings import investigate as investigate
     from truenewton.report.page.page import write_report as write_report
@@ -128,8 +126,6 @@ _NAMES = {
     "records.campaign": ["Campaign"],
     "records.cycle": ["Cycle", "Segment"],
     "records.file": ["write_campaign", "write_cycle", "write_stiffness"],
-    "records.parts": ["Parts"],
-    "records.segmented": ["SegmentedData"],
     "records.stiffness_matrix": ["StiffnessMatrix"],
     "report.findings": ["investigate"],
     "report.page.page": ["write_report"],

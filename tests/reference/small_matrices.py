@@ -114,9 +114,9 @@ def coupled() -> Result:
         np.concatenate([layout.x, layout.x + 0.5]), np.tile(layout.y, 2),
         segment=np.repeat([1, 2], 18),
     )  # fmt: skip
-    data = tn.SegmentedData(stiffness=tn.StiffnessMatrix("TWO", DATE, both, stiffness))
-    made = tn.calibrate(data, "svd")
-    return Result(tuple(map(finding_line, made.part(1).findings)))
+    matrix = tn.StiffnessMatrix("TWO", DATE, both, stiffness)
+    made = tn.calibrate(matrix.of_segment(1), "svd")
+    return Result(tuple(map(finding_line, made.findings)))
 
 
 small("matrices", {

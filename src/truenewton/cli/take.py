@@ -88,7 +88,7 @@ def run_plan(
 def run_acquire(
     plan: Path = typer.Argument(..., metavar="PLAN", help="The plan of the campaign (TOML)."),
     output: Path = options.output("Folder for the cycle files.", ...),
-    segment: int | None = options.SEGMENT,
+    segment: int | None = options.ONE_SEGMENT,
     yes: bool = typer.Option(
         False,
         "--yes",

@@ -8,11 +8,8 @@ the earlier scale stays common to all (`prior.shared_errors`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from operator import attrgetter
-from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +18,6 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.calibration.workers import executor_for
 from truenewton.chance import FALSE_ALARM, chance_of_any, t_sf
 from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.campaign_ml import estimate_of
@@ -50,15 +46,12 @@ from truenewton.recalibration.prior import (
     constrain,
     degrees_of,
     inverse_of,
-    known_for,
     prior_from,
     prior_residuals,
     run_from,
     shared_errors,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.parts import Parts, has_parts
-from truenewton.records.segmented import SegmentedData
 from truenewton.rounding import counted, percent
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
@@ -108,45 +101,25 @@ class Recalibration:
         return probability_of(self.chi2, self.degrees_of_freedom)
 
 
-@overload
-def recalibrate(
-    campaign: Campaign, known: AnyKnown, actuators: Sequence[int] = (), *,
-    accept_rejected: bool = False, processes: int | None = None,
-) -> Recalibration: ...  # fmt: skip
-@overload
-def recalibrate(
-    campaign: SegmentedData, known: AnyKnown, actuators: Sequence[int] = (), *,
-    accept_rejected: bool = False, processes: int | None = None,
-) -> Parts[Recalibration]: ...  # fmt: skip
-@overload
-def recalibrate(
-    campaign: Read | str | os.PathLike[str], known: AnyKnown, actuators: Sequence[int] = (), *,
-    accept_rejected: bool = False, processes: int | None = None,
-) -> Recalibration | Parts[Recalibration]: ...  # fmt: skip
 def recalibrate(
     campaign: Read | str | os.PathLike[str],
     known: AnyKnown,
     actuators: Sequence[int] = (),
     *,
     accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Recalibration | Parts[Recalibration]:
+) -> Recalibration:
     """Calibrate replaced actuators from a short run and an earlier calibration of the others.
 
     Parameters
     ----------
     campaign
-        The run after the replacement, or its path: one cycle under one load can suffice. In several
-        segments each is recalibrated by itself.
+        The run after the replacement, or its path: one cycle under one load can suffice.
     known
-        The earlier calibration, or the law of `track`, or a path to either; of all segments, or of
-        one.
+        The earlier calibration, or the law of `track`, or a path to either.
     actuators
         IDs of the actuators replaced; if empty, actuators that changed are found.
     accept_rejected
         Use an earlier calibration with the verdict 'rejected', too.
-    processes
-        As in `calibrate`.
 
     Raises
     ------
@@ -157,7 +130,7 @@ def recalibrate(
     UnknownName
         There is no such actuator.
     RankDeficient
-        Too few data, or too many actuators moved; in several segments: of all.
+        Too few data, or too many actuators moved.
     TooManyOutliers, NotConverged
 
     Warns
@@ -172,26 +145,9 @@ def recalibrate(
     >>> new.asked, new.moved
     ((17,), ())
     """
-    run: Campaign | SegmentedData = run_from(
-        read(campaign) if isinstance(campaign, str | os.PathLike) else campaign
-    )
-    if not has_parts(run):
-        alone = _recalibrated(run, known, actuators, accept_rejected=accept_rejected)
-        warn_of(alone.calibration)
-        return alone
-    _, before = known_for(known, run)
-    _require_enabled(run.layout, actuators)
-
-    def solver(number: int) -> Callable[[Any], Recalibration]:
-        return partial(
-            _recalibrated,
-            known=before.part(number),
-            actuators=run.own(number, actuators),
-            accept_rejected=accept_rejected,
-        )
-
-    made = run.solved(solver, "alpha", executor_for(run.layout, processes))
-    warn_of(made.map(attrgetter("calibration")))
+    run = run_from(read(campaign) if isinstance(campaign, str | os.PathLike) else campaign)
+    made = _recalibrated(run, known, actuators, accept_rejected=accept_rejected)
+    warn_of(made.calibration)
     return made
 
 

@@ -547,7 +547,6 @@ ENTRIES: dict[Code, Entry] = {
         "the comparison did not converge",
         "check that both matrices are complete and of one mirror",
     ),
-    Code.OF_SEGMENTS: _fact(None, "{segments:numbers segment}: {cause}{as_of}", "{advice}"),
     Code.NO_ALPHA: _fact(Level.NONE, "{fault}"),
     Code.OTHER: Entry("{}"),
 }

@@ -177,8 +177,7 @@ class Code(StrEnum):
     PAIR_GLASS = "pair-glass"
     PAIR_EXCESS = "pair-excess"
     PAIR_NOT_CONVERGED = "pair-not-converged"
-    # Several segments; no alpha at all.
-    OF_SEGMENTS = "of-segments"
+    # No alpha at all.
     NO_ALPHA = "no-alpha"
     # Found by another version, and kept as it was written.
     OTHER = "other"
