@@ -225,6 +225,23 @@ def test_a_matrix_with_rows_in_the_wrong_order_is_refused(rows):
         screen_matrix(replace(matrix, stiffness=turned))
 
 
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        (lambda k: np.linalg.norm(k, axis=1), "norms of the rows"),
+        (lambda k: np.abs(k).sum(axis=1), "absolute sums of the rows"),
+        (np.diag, "own elements"),
+    ],
+)
+@pytest.mark.parametrize("kind", [float, np.float32])
+def test_a_matrix_of_rows_divided_by_their_size_is_refused(kind, sizes, said):
+    """Alpha of each row is lost, and the balance gives another one."""
+    matrix, _ = p45_matrix()
+    k = (matrix.stiffness / sizes(matrix.stiffness)[:, None]).astype(kind).astype(float)
+    with pytest.raises(RankDeficient, match=f"4[0-5] of 45 {said} of STIFFNESS are the same"):
+        screen_matrix(replace(matrix, stiffness=k))
+
+
 @pytest.mark.parametrize("stroke", [1e-6, 1e-5])
 def test_forces_at_rest_in_all_columns_are_the_cause(stroke):
     """They leave the balance as it is; a rigid motion costs much, as in a transposed matrix."""
