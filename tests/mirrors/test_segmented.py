@@ -187,7 +187,13 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     """Their files make the mirror: its actuators, and the truth that a simulation of it has."""
     plan, folders = tiny.with_name("plan.toml"), []
     text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
-    plan.write_text(text.replace("cycles = 4", "cycles = 1").replace("count = 0", "count = 12"))
+    for old, new in (
+        ("cycles = 4", "cycles = 1"),
+        ("turns = 3", "turns = 1"),
+        ("count = 0", "count = 12"),
+    ):
+        text = text.replace(old, new)
+    plan.write_text(text)
     for number in (1, 2, 3):
         folders.append(tiny.with_name(f"segment-{number}"))
         words = ("acquire", plan, "--segment", number, "-o", folders[-1], "--yes")
@@ -252,7 +258,7 @@ def test_a_segment_is_served_and_acquired_at_its_address(inside, tiny, keys_fold
     bench = printed[printed.index("[bench]") :].replace(keys.name, "keys-{segment}")
     bench = bench.replace(str(port), str(port).replace(str(number), "{segment}"))
     text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
-    text = re.sub("(?m)^cycles = .*$", "cycles = 1", re.sub("(?m)^settling = .*$", "", text))
+    text = re.sub("(?m)^(cycles|turns) = .*$", r"\1 = 1", re.sub("(?m)^settling = .*$", "", text))
     plan, folder = tiny.with_name("plan.toml"), tiny.with_name("served")
     plan.write_text("settling = 0.0\n" + text.split("[bench]")[0] + bench)
     with behind(benches[0], keys, port):
