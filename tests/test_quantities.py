@@ -109,7 +109,7 @@ PLANNED = {
     ): {
         "weight": "N", "weight_error": "N", "added_weight": "N", "added_weight_error": "N",
         "bias_force": "N", "magnet_mass": "kg", "alpha_range": "", "gap": "m", "puck_radius": "m",
-        "vent_radius": "m", "tool_radius": "m", "coil_gradient": "1/m", "bias_gradient": "N/m",
+        "damping": "N s / m", "tool_radius": "m", "coil_gradient": "1/m", "bias_gradient": "N/m",
     },
 }  # fmt: skip
 

@@ -184,7 +184,13 @@ def test_segments_are_acquired_one_by_one_and_read_from_all_their_files(inside, 
     """Each has its actuators, and the truth that a simulation of the whole mirror has."""
     plan, folders = tiny.with_name("plan.toml"), []
     text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
-    plan.write_text(text.replace("cycles = 4", "cycles = 1").replace("count = 0", "count = 12"))
+    for old, new in (
+        ("cycles = 4", "cycles = 1"),
+        ("turns = 3", "turns = 1"),
+        ("count = 0", "count = 12"),
+    ):
+        text = text.replace(old, new)
+    plan.write_text(text)
     for number in (1, 2, 3):
         folders.append(tiny.with_name(f"segment-{number}"))
         words = ("acquire", plan, "--segment", number, "-o", folders[-1], "--yes")
@@ -238,7 +244,7 @@ def test_a_segment_is_acquired_at_its_own_address(inside, tiny, monkeypatch):
     monkeypatch.setattr(sys, "path", list(sys.path))
     tiny.with_name("control_of_tiny.py").write_text(CONTROL)
     text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
-    text = re.sub("(?m)^cycles = .*$", "cycles = 1", re.sub("(?m)^settling = .*$", "", text))
+    text = re.sub("(?m)^(cycles|turns) = .*$", r"\1 = 1", re.sub("(?m)^settling = .*$", "", text))
     bench = '[bench]\nkind = "python"\naddress = "control_of_tiny:unit{segment}"\n'
     plan, folder = tiny.with_name("plan.toml"), tiny.with_name("second")
     plan.write_text("settling = 0.0\n" + text.split("[bench]")[0] + bench)
