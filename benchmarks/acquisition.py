@@ -1,19 +1,15 @@
-"""What acquisition itself costs for each shape, beside the bench and the disk.
+"""What acquisition itself costs for each shape, and for the file of each cycle.
 
     python benchmarks/acquisition.py [--actuators 45 672 5352] [--shapes 30]
 
-Time inside the bench (command, read, status) is taken out; what is left is checks, log and the
-record of the shape on the disk. Beside it stands what the disk alone takes: the write and fsync of
-as many bytes, in the same folder, in turn with the campaign. Medians over shapes. The file of a
-cycle is written once a cycle, and stands in a column of its own. Beyond 1,000 actuators the bench
-is a stub that answers at once.
+Time inside the bench (command, read, status) is taken out; what is left is checks and log. Medians
+over shapes. Beyond 1,000 actuators the bench is a stub that answers at once.
 """
 
 from __future__ import annotations
 
 import argparse
 import datetime
-import os
 import tempfile
 import time
 from pathlib import Path
@@ -23,7 +19,6 @@ from typing import Any
 import numpy as np
 
 import truenewton as tn
-from truenewton.acquisition.folder import record_type
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
 from truenewton.acquisition.taker import Progress
 from truenewton.bench.protocol import Bench, Reading, Shape, Status
@@ -101,15 +96,11 @@ class Timed:
 
 
 class Stopwatch:
-    """Notes after each shape the time that passed outside the bench, and lets the disk run too."""
+    """Notes after each shape the time that passed outside the bench."""
 
-    def __init__(self, bench: Timed, folder: Path) -> None:
-        self.bench, self.folder = bench, folder
+    def __init__(self, bench: Timed) -> None:
+        self.bench = bench
         self.outside: list[float] = []
-        self.disk: list[float] = []
-        size = record_type(bench.layout.n).itemsize
-        self.record = np.random.default_rng(1).bytes(size)
-        self.file = os.open(folder / "reference", os.O_WRONLY | os.O_CREAT)
         self.start()
 
     def start(self) -> None:
@@ -117,18 +108,14 @@ class Stopwatch:
 
     def progress(self, now: Progress) -> None:  # noqa: ARG002
         self.outside.append(time.perf_counter() - self.since - self.bench.inside)
-        start = time.perf_counter()
-        os.write(self.file, self.record)
-        os.fsync(self.file)
-        self.disk.append(time.perf_counter() - start)
         self.start()
 
     def say(self, line: str) -> None:
         """Keep quiet."""
 
 
-def measure(n: int, count: int, root: Path) -> tuple[float, float, float]:
-    """Return seconds for a shape, for the disk alone, and for the file of a cycle."""
+def measure(n: int, count: int, root: Path) -> tuple[float, float]:
+    """Return seconds for a shape, and for the file of a cycle."""
     name = {45: "p45", 672: "lbt672"}.get(n, f"ring{n}")
     mirror = mirror_from(name)
     folder = root / name
@@ -145,11 +132,11 @@ def measure(n: int, count: int, root: Path) -> tuple[float, float, float]:
         shapes=PlannedShapes(source="shapes.fits", force=0.1),
     )
     bench = Timed(simulated(mirror, plan))
-    watch = Stopwatch(bench, folder)
+    watch = Stopwatch(bench)
     tn.acquire(bench, plan, folder / "campaign", beside=folder, onlooker=watch)
     first = 2 * count  # before which the file of the first cycle is written
     shapes = [t for k, t in enumerate(watch.outside) if k not in (0, first)]
-    return median(shapes), median(watch.disk), watch.outside[first] - median(shapes)
+    return median(shapes), watch.outside[first] - median(shapes)
 
 
 def main() -> None:
@@ -158,14 +145,11 @@ def main() -> None:
     parser.add_argument("--shapes", type=int, default=30, help="Each with both signs, two cycles.")
     chosen = parser.parse_args()
     print("milliseconds")
-    print(f"{'actuators':>9} {'a shape':>9} {'disk':>9} {'the rest':>9} {'file/cycle':>11}")
+    print(f"{'actuators':>9} {'a shape':>9} {'file/cycle':>11}")
     for n in chosen.actuators:
         with tempfile.TemporaryDirectory() as root:
-            shape, disk, file = measure(n, chosen.shapes, Path(root))
-        print(
-            f"{n:9d} {1e3 * shape:9.2f} {1e3 * disk:9.2f} {1e3 * (shape - disk):9.2f}"
-            f" {1e3 * file:11.1f}"
-        )
+            shape, file = measure(n, chosen.shapes, Path(root))
+        print(f"{n:9d} {1e3 * shape:9.2f} {1e3 * file:11.1f}")
 
 
 if __name__ == "__main__":

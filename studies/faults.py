@@ -139,7 +139,7 @@ def trial(day: Day, method: str = "ml") -> Trial:
         stated=judged * answer.error / day.truth,
         messages=tuple(Message(e.name, e.where, e.corrected) for e in answer.effects),
         where=day.where,
-        probability=answer.goodness.probability,
+        probability=answer.goodness.probability if answer.goodness else np.nan,
         rejected=answer.rejected / (answer.rejected + answer.shapes_used),
         reciprocal=answer.method == "reciprocity",
         sound=all(each.code is tn.Code.WEIGHTS_WITHOUT_ERRORS for each in answer.verdict.faults),

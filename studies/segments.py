@@ -49,20 +49,17 @@ from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.statics.arms import enabled_arms
 
 
-def timed(name: str, *commands: Sequence[object]) -> None:
-    """Run commands in separate processes; print their time and memory."""
-    begun, processor, largest = time.monotonic(), 0.0, 0
-    for command in commands:
-        child = subprocess.Popen([sys.executable, *map(str, command)], stdout=subprocess.DEVNULL)
-        _, status, used = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
-        if child.returncode:
-            sys.exit(f"{name} failed")
-        processor += used.ru_utime + used.ru_stime
-        largest = max(largest, used.ru_maxrss)
+def timed(name: str, command: Sequence[object]) -> None:
+    """Run a command in a process of its own; print its time and memory."""
+    begun = time.monotonic()
+    child = subprocess.Popen([sys.executable, *map(str, command)], stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        sys.exit(f"{name} failed")
     print(
-        f"  {name:<28}{processor:8.1f} s{time.monotonic() - begun:10.1f} s"
-        f"{largest / 1024:10.0f} MB",
+        f"  {name:<28}{used.ru_utime + used.ru_stime:8.1f} s{time.monotonic() - begun:10.1f} s"
+        f"{used.ru_maxrss / 1024:10.0f} MB",
         flush=True,
     )
 
@@ -119,7 +116,7 @@ def errors(bench: SegmentedBench, work: Path, cycles: int) -> None:
     truth = tn.read_truth(truth_path(work / "campaign"))
     print(f"  segment   {HEAD}")
     for number, one in enumerate(bench.benches, 1):
-        found = tn.read_calibration(work / "calibration.fits", segment=number)
+        found = tn.read_calibration(work / f"calibration-{number}.fits")
         assert np.array_equal(one.truth.alpha, truth.alpha[truth.layout.segment == number])
         print(line(number, figures(one, bound(one, cycles), found)), flush=True)
 
@@ -184,8 +181,7 @@ def main() -> None:
         timed("simulate", (*run, "simulate", arguments.mirror, "-o", campaign, *drawn))
         timed("calibrate", (*run, "calibrate", campaign, "-o", calibration))
         timed("report", (*run, "report", campaign, "-o", work / "report.html"))
-        modes = (*run, "modes", campaign, "--calibration", calibration, "--segment")
-        timed("modes, one after the other", *((*modes, k) for k in mirror.layout.segments))
+        timed("modes", (*run, "modes", campaign, "--calibration", calibration))
         errors(draw(), work, arguments.cycles)
 
 

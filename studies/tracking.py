@@ -7,8 +7,7 @@ Law: six days at 12 to 24 deg C, k ~ N(-1.1e-3, 2e-4) / K, drift ~ N(-2e-3, 1e-3
 are drawn from the COVARIANCE of one simulated P45 campaign (4 cycles); the error of the ring is the
 same on all days. False alarms: likewise. Replacement: one cycle under one load after actuator 17
 was replaced; readings and earlier calibration have noise. Bounds: the inverse of the information on
-all unknowns, computed independently. Also with an earlier stiffness, 20 shapes, and a new sensor
-17.
+all unknowns, computed independently.
 
 Scatter: calibrations are thirty days apart. Actuators scatter about their laws, independently or
 also in common, or drift independently before a short run. Another actuator may change by 1 %.
@@ -20,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import datetime
-from collections import defaultdict
 from dataclasses import replace
 from unittest import mock
 
@@ -28,7 +26,7 @@ import numpy as np
 
 import truenewton as tn
 from studies.accuracy import TWO_SIGMA
-from truenewton.bench.simulated.static import SENSOR_NOISE, run_cycles, static_bench
+from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import p45
 from truenewton.tracking import fit
 from truenewton.tracking.days import YEAR, covariances
@@ -324,53 +322,6 @@ def replacements(noise: float, runs: int) -> None:
     print(f"  a second change of {100 * (both[SECOND] - 1):.1f} % found, alone  {rate(found)}")
 
 
-def with_reference(noise: float, runs: int, shapes: int = 10) -> None:
-    """Print the error of the new alpha with an earlier stiffness, from a campaign or a matrix."""
-    mirror, ids = Mirror(noise), p45().layout.id
-    bench = static_bench(p45(), SEED, force_noise=noise)
-    softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(len(ids))
-    exact = softer / mirror.truth.alpha[:, None] * bench.sensors.gain
-    usual = np.sqrt(np.mean(exact**2))
-    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    false = []
-    for seed in range(runs):
-        random = np.random.default_rng([SEED, 9, seed])
-        known = mirror.earlier(random)
-        factor, gain = np.ones((2, len(ids)))
-        factor[REPLACED], gain[REPLACED] = 0.8, 1.01
-        references: dict[str, tn.Campaign | tn.StiffnessMatrix] = {
-            "earlier campaign": mirror.run(np.ones(len(ids)), random),
-            "earlier matrix, 0.05 %": tn.StiffnessMatrix(
-                "P45", mirror.quiet.date, mirror.quiet.layout,
-                exact + 5e-4 * usual * random.standard_normal(exact.shape),
-            ),
-        }  # fmt: skip
-        [cycle] = mirror.run(factor, random).cycles
-        chosen = 1 + random.permutation(len(bench.shapes))[:shapes]
-        position = np.asarray(cycle.position) / gain
-        position = position + SENSOR_NOISE * random.standard_normal(position.shape)
-        valid = np.isin(cycle.shape, chosen)
-        run = tn.Campaign((replace(cycle, position=position, valid=valid),))
-        truth = known.alpha[REPLACED] * 0.8
-        for what, reference in references.items():
-            made = tn.recalibrate(run, known, [int(ids[REPLACED])], reference=reference)
-            new, c = made.calibration.alpha[REPLACED], made.calibration
-            # Without the error of the earlier alpha.
-            before = 0.8 * known.statistical_error[REPLACED]
-            stated = np.sqrt(c.statistical_error[REPLACED] ** 2 - before**2)
-            found[what].append((new / truth - 1, stated / truth))
-            false.append(bool(made.moved))
-    print(
-        f"{2 * shapes} shapes, one load, by an earlier stiffness, {1e3 * noise:g} mN, {runs} runs"
-    )
-    for what, pairs in found.items():
-        off, stated = np.array(pairs).T
-        print(f"  {what:24s} RMS error of alpha {np.sqrt(np.mean(off**2)):.2g}, stated"
-              f" {np.sqrt(np.mean(stated**2)):.2g}, 95 % intervals cover"
-              f" {rate(list(np.abs(off) <= TWO_SIGMA * stated))}")  # fmt: skip
-    print(f"  others reported as changed (1 %)    {rate(false)}")
-
-
 def main() -> None:
     """Run all parts; 0 skips a part."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -388,7 +339,6 @@ def main() -> None:
         alarms(seen, options.mirrors)
     for noise in (1e-3, 1e-4) * bool(options.replacements):
         replacements(noise, options.replacements)
-        with_reference(noise, options.replacements)
     for noise, seen in ((1e-4, quiet), (1e-3, pattern)) * bool(options.scatter):
         for own, common in SCATTERS:
             scatter(seen, noise, options.scatter, own, common)

@@ -90,16 +90,6 @@ def p45_findings():
     return investigate(p45_campaign(2), diameter=2.13, efficiency=0.51)
 
 
-@pytest.fixture(scope="session")
-def keys_folder(tmp_path_factory):
-    """Certificates, keys and password of an OPC UA bench, made once: that takes a second."""
-    from truenewton.bench.opcua.keys import make_keys  # an extra
-
-    path = tmp_path_factory.mktemp("opcua") / "keys"
-    make_keys(path)
-    return path
-
-
 @pytest.fixture
 def inside(capsys, monkeypatch):
     """Return a function that runs the command line in process: exit code, stdout, stderr.

@@ -11,9 +11,9 @@ import pytest
 from astropy.table import QTable, Table
 
 import truenewton as tn
-from truenewton.acquisition.plan import AssumedDrift, MirrorLimits, PlannedShapes
+from truenewton.acquisition.plan import MirrorLimits, PlannedShapes
 from truenewton.arrays import freeze
-from truenewton.bench.protocol import BenchChoice
+from truenewton.bench.choice import BenchChoice
 from truenewton.errors import FormatError, GeometryError
 from truenewton.files.format import FileFormat, ImageFormat, TableFormat
 from truenewton.mirrors.glass import Annulus, Shell
@@ -92,7 +92,6 @@ PLANNED = {
     MirrorLimits(): {
         "force": "N", "saturation": "N", "displacement": "m", "gap": "m", "temperature": "deg_C",
     },
-    AssumedDrift(): {"alpha": "", "zero": "N", "remounting": "N"},
     tn.CampaignPlan("p45", (tn.Load("bare"), LOAD)): {
         "settling": "s", "pause": "s", "force_noise": "N",
     },
@@ -110,7 +109,7 @@ PLANNED = {
     ): {
         "weight": "N", "weight_error": "N", "added_weight": "N", "added_weight_error": "N",
         "bias_force": "N", "magnet_mass": "kg", "alpha_range": "", "gap": "m", "puck_radius": "m",
-        "vent_radius": "m", "tool_radius": "m", "coil_gradient": "1/m", "bias_gradient": "N/m",
+        "damping": "N s / m", "tool_radius": "m", "coil_gradient": "1/m", "bias_gradient": "N/m",
     },
 }  # fmt: skip
 

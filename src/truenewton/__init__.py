@@ -23,12 +23,10 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton import errors as errors
     from truenewton import mirrors as mirrors
     from truenewton.acquisition.acquire import acquire as acquire
-    from truenewton.acquisition.plan import AssumedDrift as AssumedDrift
     from truenewton.acquisition.plan import CampaignPlan as CampaignPlan
     from truenewton.acquisition.plan import MirrorLimits as MirrorLimits
     from truenewton.acquisition.plan import PlannedShapes as PlannedShapes
     from truenewton.acquisition.plan import read_plan as read_plan
-    from truenewton.bench.opcua import connect as connect
     from truenewton.bench.opticalib import OpticalibMirror as OpticalibMirror
     from truenewton.bench.protocol import Reading as Reading
     from truenewton.bench.protocol import Shape as Shape
@@ -75,8 +73,6 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.records.file import write_campaign as write_campaign
     from truenewton.records.file import write_cycle as write_cycle
     from truenewton.records.file import write_stiffness as write_stiffness
-    from truenewton.records.parts import Parts as Parts
-    from truenewton.records.segmented import SegmentedData as SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix as StiffnessMatrix
     from truenewton.report.findings import investigate as investigate
     from truenewton.report.page.page import write_report as write_report
@@ -95,13 +91,11 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
 _NAMES = {
     "acquisition.acquire": ["acquire"],
     "acquisition.plan": [
-        "AssumedDrift",
         "CampaignPlan",
         "MirrorLimits",
         "PlannedShapes",
         "read_plan",
     ],
-    "bench.opcua": ["connect"],
     "bench.opticalib": ["OpticalibMirror"],
     "bench.protocol": ["Reading", "Shape", "Status"],
     "bench.simulated.bench": ["SimulatedBench"],
@@ -132,8 +126,6 @@ _NAMES = {
     "records.campaign": ["Campaign"],
     "records.cycle": ["Cycle", "Segment"],
     "records.file": ["write_campaign", "write_cycle", "write_stiffness"],
-    "records.parts": ["Parts"],
-    "records.segmented": ["SegmentedData"],
     "records.stiffness_matrix": ["StiffnessMatrix"],
     "report.findings": ["investigate"],
     "report.page.page": ["write_report"],

@@ -62,6 +62,20 @@ class FormatError(TrueNewtonError, ValueError):
     """Data with an invalid keyword, column, unit or value."""
 
 
+class SeveralSegments(FormatError):
+    """Data of several segments, of which one must be chosen.
+
+    ``segments`` are the actuators of each by its number: an interface that takes one after the
+    other needs no other reading.
+    """
+
+    def __init__(
+        self, fault: str, *, segments: Any = None, remedy: str = "", path: object = None
+    ) -> None:
+        super().__init__(fault, remedy=remedy, path=path)
+        self.segments = segments or {}
+
+
 class CampaignMismatch(TrueNewtonError, ValueError):
     """Files, or a bench and its plan, that do not belong to the same campaign or mirror."""
 

@@ -4,36 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TypeVar
 
-from truenewton.calibration.file import CALIBRATIONS, LACKS
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.file import LACKS, calibration_from
+from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.errors import FormatError, naming
 from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
-from truenewton.records.parts import InParts, Parts, body_or_parts_from, has_parts
 from truenewton.records.reader import AnyPath, Measured, flat, measured_in, open_files
-from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import require_segment
 
-if TYPE_CHECKING:
-    from typing_extensions import TypeIs
-
-Body = Campaign | StiffnessMatrix | Calibration  # of a mirror in one piece
-Read = Measured | AnyCalibration
-Part = TypeVar("Part")
-Kind = TypeVar("Kind", bound=Body)
+Read = Measured | Calibration
+Kind = TypeVar("Kind", Campaign, StiffnessMatrix, Calibration)
 KIND_NAMES: dict[type, tuple[str, str]] = {  # what files contain, and the function that reads them
     Campaign: ("a campaign", "read_campaign"),
     StiffnessMatrix: ("a stiffness matrix", "read_stiffness"),
     Calibration: ("a calibration", "read_calibration"),
-    SegmentedData: ("data of several segments", "read"),
-    Parts: ("a calibration of several segments", "read"),
 }
 
 
-def read(*paths: AnyPath | Iterable[AnyPath]) -> Read:
+def read(*paths: AnyPath | Iterable[AnyPath], segment: int | None = None) -> Read:
     """Read cycle files, a stiffness file, or a calibration.
 
     Parameters
@@ -41,15 +33,21 @@ def read(*paths: AnyPath | Iterable[AnyPath]) -> Read:
     paths
         Folders of cycle files and single files, or lists of them; one stiffness file may be among
         cycle files.
+    segment
+        Number of the segment to read of a mirror in several segments, as if it were alone.
 
     Returns
     -------
     Campaign, StiffnessMatrix or Calibration
-        Depending on the files; of a mirror in several segments SegmentedData or Parts.
+        Depending on the files.
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch
+    UnreadableFile, FormatError, CampaignMismatch, ClusterFailed
+    SeveralSegments
+        The files are of several segments, and none is chosen.
+    UnknownName
+        There is no such segment.
 
     Warns
     -----
@@ -63,74 +61,25 @@ def read(*paths: AnyPath | Iterable[AnyPath]) -> Read:
     """
     opened = open_files(paths)
     if len(opened) == 1 and "CALIBRATION" in opened[0].file.extensions:
-        calibration = body_or_parts_from(opened[0].file, CALIBRATIONS)
+        calibration = calibration_from(opened[0].file)
+        if segment is not None:
+            _require_segment_of(calibration, segment, opened[0].file.path)
         warn_of(calibration)
         return calibration
-    return measured_in(opened)
+    return measured_in(opened, segment)
 
 
-def holds_alpha(data: object) -> TypeIs[AnyCalibration]:
-    """Return whether something is a calibration, of one body or of several segments."""
-    return isinstance(data, Calibration | Parts)
-
-
-@overload
-def select_segment(data: InParts[Part], number: int | None, path: object) -> Part: ...
-@overload
-def select_segment(data: Part, number: int | None, path: object) -> Part: ...
-def select_segment(data: Any, number: int | None, path: object) -> Any:
-    """Return the data of one segment; data of a mirror in one piece are returned unchanged.
-
-    Raises
-    ------
-    FormatError
-        There are several segments and none is chosen, or the data are not of the one chosen.
-    UnknownName, GeometryError, RankDeficient
-        There is no such segment, or there are no data of it.
-    """
-    if not has_parts(data):
-        _require_number(data, number, path)
-        return data
-    if number is None:
-        first = data.numbers[0]
-        raise FormatError(
-            f"has {len(data.numbers)} segments, and this takes one at a time",
-            remedy=f"choose it by its number: --segment {first}, or part({first}) in Python",
-            path=path,
-        )
+def _require_segment_of(calibration: Calibration, segment: int, path: str) -> None:
+    """Raise UnknownName if INSTRUME of a calibration does not name this segment."""
+    _, of, number = calibration.instrument.rpartition(" segment ")
     with naming(path):
-        return data.part(number)
-
-
-def _require_number(data: Any, number: int | None, path: object) -> None:
-    """Raise FormatError if data of one body are not of this segment."""
-    if number is None:
-        return
-    if isinstance(data, Calibration):  # only its instrument contains the number
-        _, of, said = data.instrument.rpartition(" segment ")
-        own = int(said) if of and said.isdecimal() else number
-    elif data.layout.segment is None:
-        raise FormatError("is of a mirror in one piece", remedy="leave --segment out", path=path)
-    else:
-        own = int(data.layout.segment[0])
-    if own != number:
-        raise FormatError(
-            f"is of segment {own}, not {number}",
-            remedy=f"give the files of segment {number}",
-            path=path,
-        )
-
-
-def read_chosen(*paths: AnyPath, segment: int | None = None) -> Read:
-    """Read as `read`, and return one segment if it is chosen, otherwise all."""
-    data = read(*paths)
-    return data if segment is None else select_segment(data, segment, paths[0])
+        require_segment(segment, [int(number)] if of and number.isdecimal() else [])
 
 
 def read_data(*paths: AnyPath, segment: int | None = None) -> Measured:
-    """Read as `read_chosen`, and refuse a calibration."""
-    data = read_chosen(*paths, segment=segment)
-    if holds_alpha(data):
+    """Read as `read`, and refuse a calibration."""
+    data = read(*paths, segment=segment)
+    if isinstance(data, Calibration):
         raise FormatError(
             "is a calibration already", remedy="give cycle files or a stiffness file", path=paths[0]
         )
@@ -149,38 +98,40 @@ def _required(data: Read, wanted: type[Kind], remedy: str, path: object) -> Kind
     )
 
 
-def read_campaign(*paths: AnyPath | Iterable[AnyPath]) -> Campaign:
+def read_campaign(*paths: AnyPath | Iterable[AnyPath], segment: int | None = None) -> Campaign:
     """Read a campaign; other data are refused.
 
     Parameters
     ----------
-    paths
+    paths, segment
         As of `read`.
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch
+    UnreadableFile, FormatError, CampaignMismatch, SeveralSegments, UnknownName
 
     Examples
     --------
     >>> tn.read_campaign("day/bare-001.fits", "day/ring-001.fits")
     <Campaign of P45: 45 actuators, 2 cycles under bare, ring>
     """
-    data = read(*paths)
+    data = read(*paths, segment=segment)
     return _required(data, Campaign, "give cycle files or their folder", flat(paths)[0])
 
 
-def read_stiffness(path: AnyPath) -> StiffnessMatrix:
+def read_stiffness(path: AnyPath, *, segment: int | None = None) -> StiffnessMatrix:
     """Read a stiffness file.
 
     Parameters
     ----------
     path
         The stiffness file.
+    segment
+        As of `read`.
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch
+    UnreadableFile, FormatError, CampaignMismatch, SeveralSegments, UnknownName
 
     Examples
     --------
@@ -188,22 +139,20 @@ def read_stiffness(path: AnyPath) -> StiffnessMatrix:
     >>> tn.read_stiffness("feedforward.fits")
     <StiffnessMatrix of P45: 45 actuators>
     """
-    return _required(read(path), StiffnessMatrix, "give what `import` wrote", path)
+    return _required(read(path, segment=segment), StiffnessMatrix, "give what `import` wrote", path)
 
 
-def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibration:
-    """Read a calibration file of one body, or one segment of several; `read` reads all segments.
+def read_calibration(path: AnyPath) -> Calibration:
+    """Read a calibration file.
 
     Parameters
     ----------
     path
         The calibration, as written by `Calibration.write`.
-    segment
-        Number of the segment.
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
+    UnreadableFile, FormatError, CampaignMismatch
 
     Examples
     --------
@@ -211,11 +160,6 @@ def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibratio
     >>> tn.read_calibration("alpha.fits").method
     'ml'
     """
-    return select_segment(read_alpha(path, segment=segment), None, path)
-
-
-def read_alpha(path: AnyPath, *, segment: int | None = None) -> AnyCalibration:
-    """Read a calibration file; of several segments one if it is chosen, otherwise all."""
     suffix = Path(path).suffix.lower()
     if suffix in LACKS and Path(path).is_file():
         raise FormatError(
@@ -223,10 +167,7 @@ def read_alpha(path: AnyPath, *, segment: int | None = None) -> AnyCalibration:
             remedy="give the .fits of the same calibration, which contains all of it",
             path=path,
         )
-    data = read_chosen(path, segment=segment)
-    if holds_alpha(data):
-        return data
-    return _required(data, Calibration, "give what `calibrate -o` wrote", path)
+    return _required(read(path), Calibration, "give what `calibrate -o` wrote", path)
 
 
 def read_compared(*paths: AnyPath, segment: int | None = None) -> tuple[Read, ...]:
@@ -237,7 +178,7 @@ def read_compared(*paths: AnyPath, segment: int | None = None) -> tuple[Read, ..
     kinds = {_compared_kind(path) for path in paths}
     if len(paths) != 2 or len(kinds) > 1 or kinds == {""}:
         return ()
-    return tuple(read_chosen(path, segment=segment) for path in paths)
+    return tuple(read(path, segment=segment) for path in paths)
 
 
 def _compared_kind(path: AnyPath) -> str:

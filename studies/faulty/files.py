@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 import truenewton as tn
-from studies.faulty.bench import Day
+from studies.faulty.bench import Array, Day
 from studies.faulty.fault import fault
 from studies.faulty.gains import drift
 
@@ -97,6 +97,44 @@ fault("one bare file labelled ring", cause="wrong LOAD of a file")(relabelled(0,
 def copied(day: Day) -> None:
     day.readings[day.file == 1] = day.readings[day.file == 0]
     day.sensor_noise[day.file == 1] = day.sensor_noise[day.file == 0]
+
+
+def other_files(cause: str) -> Callable[[Callable[[Array], Array]], None]:
+    """Return a decorator that lists a change of the readings of one file."""
+
+    def listed(change: Callable[[Array], Array]) -> None:
+        def happens(day: Day) -> None:
+            rows = day.file == day.random.integers(len(day.order))
+            day.readings[rows] = change(day.readings[rows])
+
+        fault(str(change.__doc__), cause=cause)(happens)
+
+    return listed
+
+
+@other_files(cause="unit")
+def in_millinewtons(force: Array) -> Array:
+    """FORCE of a file in mN"""
+    return 1e3 * force
+
+
+@other_files(cause="sign")
+def negative(force: Array) -> Array:
+    """FORCE of a file of the other sign"""
+    return -force
+
+
+@other_files(cause="order|exchange")
+def reversed_order(force: Array) -> Array:
+    """FORCE of a file in the reversed order"""
+    return force[:, ::-1]
+
+
+@fault("half of the files are of another mirror", cause="two groups|mirror")
+def another_mirror(day: Day) -> None:
+    late = day.file >= len(day.order) // 2
+    other = 1 + 0.05 * day.random.standard_normal(day.n)
+    day.readings[late] *= other
 
 
 @fault("SIGN reversed in a file", cause="label|SIGN reversed")

@@ -13,6 +13,12 @@ def contact_in_one_sign(day: Day) -> None:
     day.push(np.where(day.sign > 0, 20e-3, 0.0), day.somewhere())
 
 
+@fault("contact of 20 mN in one sign under the ring", cause="contact")
+def contact_in_one_sign_under_ring(day: Day) -> None:
+    pushed = (day.sign > 0) & (day.load == 1)
+    day.push(np.where(pushed, 20e-3, 0.0), day.somewhere())
+
+
 @fault("dust: 20 mN where a gap is narrow", cause=r"force\b")
 def dust(day: Day) -> None:
     at = day.actuator()

@@ -101,3 +101,16 @@ fault("spikes, one cycle", cause="spike|left out|rows|outlier", order="one cycle
 def spikes_and_gradients(day: Day) -> None:
     gradients(day)
     spikes(day)
+
+
+@fault("a reading that freezes in the middle of a file", cause="frozen|stuck")
+def freezes(day: Day) -> None:
+    at, rows = day.actuator(), np.flatnonzero(day.file == day.random.integers(len(day.order)))
+    day.strike(at, judged=False)
+    late = rows[len(rows) // 2 :]
+    day.readings[late, at] = day.readings[late[0], at]
+
+
+@fault("readings cut off at 0.2 N", cause="cut off|limit")
+def cut_off(day: Day) -> None:
+    day.readings[:] = np.clip(day.readings, -0.2, 0.2)

@@ -13,8 +13,8 @@ from truenewton.acquisition import taker
 from truenewton.acquisition.acquire import MAX_INVALID_IN_A_ROW, MAX_REQUESTS
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
 from truenewton.acquisition.taker import judge, mean_sum
-from truenewton.bench.protocol import BenchChoice, Status
-from truenewton.bench.simulated.bench import SimulatedBench
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.protocol import Status
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import BenchFault, CampaignMismatch, FormatError, LimitExceeded
 from truenewton.files.fits import read_fits
@@ -152,7 +152,7 @@ def test_a_load_that_never_comes_stops_the_run_and_the_same_call_goes_on(tmp_pat
 
 
 def test_a_load_that_fell_off_between_two_runs_is_missed(tmp_path):
-    stop = at(("bare", 1, 2, 1), altered(temperature=80.0))
+    stop = at(("bare", 2, 2, 1), altered(temperature=80.0))
     with pytest.raises(LimitExceeded):
         tn.acquire(StubBench(spoil=stop), small_plan(), tmp_path / "c")
     wrong = StubBench(put=lambda load: LOADS[1])  # the ring, where the bare mirror was
@@ -161,7 +161,7 @@ def test_a_load_that_fell_off_between_two_runs_is_missed(tmp_path):
 
 
 def test_a_sum_that_goes_the_other_way_points_at_the_sign_of_the_forces():
-    """As by a server that sends what the glass does to the actuator."""
+    """As by a bench that gives what the glass does to the actuator."""
     loads = (tn.Load("bare"), tn.Load("ring", -0.289, 0.005))
     on, why = judge(-2.92, loads, loads[1], {"bare": -1.0}, -1.289)
     assert on is False
@@ -170,7 +170,7 @@ def test_a_sum_that_goes_the_other_way_points_at_the_sign_of_the_forces():
 
 
 class Forgetful(StubBench):
-    """A server that is started anew at a reading: then it takes no shape until told its load."""
+    """Electronics that restart at a reading: then they take no shape until told their load."""
 
     told = True
 
@@ -318,9 +318,8 @@ def test_rows_that_are_not_valid_are_said_with_what_takes_them_again(tmp_path, i
     path, folder = tmp_path / "plan.toml", tmp_path / "c"
     path.write_text(toml_text(small_plan()), encoding="utf-8")
     unsettled = StubBench(spoil=at(("ring", 1, 2, -1), altered(settled=False)))
-    benches = iter([unsettled, StubBench()])
+    benches = iter([unsettled, StubBench(), StubBench()])
     monkeypatch.setattr("truenewton.acquisition.acquire.chosen_bench", lambda *_: next(benches))
-    monkeypatch.setattr(SimulatedBench, "write_truth", lambda *_, **__: None)
     said = ", but 1 of 24 rows are not valid (ring-001.fits 1); to repeat a cycle, remove its"
     for already in ("", " already"):
         code, out, _ = inside("acquire", path, "-o", folder)
@@ -392,14 +391,43 @@ def test_a_bench_that_stopped_itself_is_not_commanded_again(tmp_path):
     assert len(bench.commanded) == 7
 
 
-def test_a_mirror_that_cannot_be_brought_to_rest_is_said_first(tmp_path):
+def test_errors_of_the_code_of_a_bench_are_its_faults(tmp_path, whole_again, monkeypatch):
+    """As those of a socket: a shape is tried again, and a bench without a status is awaited."""
+    monkeypatch.setattr(taker, "FIRST_WAIT", 0.001)
+    failing = {"command": 3, "read": 5, "status": 7, "rest": 2}
+
+    def failing_once(name):
+        def method(self, *arguments):
+            failing[name] -= 1
+            if not failing[name]:
+                raise TimeoutError("timed out")
+            return getattr(StubBench, name)(self, *arguments)
+
+        return method
+
+    bench = type("MyBench", (StubBench,), {name: failing_once(name) for name in failing})()
+    tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert whole_again()
+    faults = [event["fault"] for kind in ("not sound", "gone", "not at rest")
+              for event in events(tmp_path / "c", kind)]  # fmt: skip
+    assert faults == [
+        *(f"MyBench.{name} fails (TimeoutError: timed out) (check the bench)"
+          for name in ("command", "read")),
+        *(f"MyBench.{name} fails (TimeoutError: timed out)" for name in ("status", "rest")),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [BenchFault, ConnectionError])
+def test_a_mirror_that_cannot_be_brought_to_rest_is_said_first(tmp_path, kind):
     class Dead(StubBench):
         def rest(self):
             if self.commanded:
-                raise BenchFault("connection lost")
+                raise kind("connection lost")
 
     spoil = at(("bare", 1, 2, 1), altered(temperature=80.0))
-    with pytest.raises(BenchFault, match=r"may not be at rest .connection lost., after: .* 80 deg"):
+    with pytest.raises(
+        BenchFault, match=r"may not be at rest .*connection lost.*, after: .* 80 deg"
+    ):
         tn.acquire(Dead(spoil=spoil), small_plan(), tmp_path / "c")
 
 
@@ -461,7 +489,7 @@ def test_a_bench_or_plan_that_cannot_be_is_refused(tmp_path, bench, loads, said)
 def test_a_plan_is_kept_as_it_is_read(tmp_path):
     plan = small_plan(
         loads=(tn.Load('b"a\\re'), tn.Load("ring", -0.1, 0.01, "tool 1", 60.0, 0.1)),
-        bench=BenchChoice("opcua", "opc.tcp://mirror:4840", user="r\u00e9n\t\u00e9"),
+        bench=BenchChoice("python", "r\u00e9n\t\u00e9"),
     )
     (tmp_path / "plan.toml").write_text(toml_text(plan), encoding="utf-8")
     assert read_plan(tmp_path / "plan.toml") == plan

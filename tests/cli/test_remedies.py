@@ -102,7 +102,7 @@ FAULTS = {
     ),
     "E_ADDED of 1 ug": (
         lambda: [replace(c, load=replace(c.load, added_error=1e-8)) for c in p45()],
-        "usable", "'ring' is 1e-05 mN, less than the buoyancy of air (0.043 mN)", "E_WEIGHT",
+        "usable", "'ring' is 1e-05 mN, less than a tenth of the buoyancy of air", "E_WEIGHT",
     ),
     "E_TILT is 0": (
         lambda: tilted().cycles,

@@ -218,28 +218,23 @@ def test_with_a_repeat_the_errors_rest_on_its_scatter():
     assert tn.compare(new, old, repeat=repeat).excess == pytest.approx(other.excess, rel=0.05)
 
 
-def test_segments_are_compared_each_by_itself_and_kept_in_one_file(tmp_path):
+def test_each_segment_is_compared_as_if_alone(tmp_path, inside):
     pairs = pair(MATRIX, EXACT, 12, "equal", changed=True), (OLD, NEW)
     layout = tn.layout(
         np.concatenate([MATRIX.layout.x, MATRIX.layout.x + 1.0]),
         np.tile(MATRIX.layout.y, 2),
         segment=np.repeat([1, 2], 45),
     )
-    old, new = (
-        tn.SegmentedData(
-            stiffness=replace(
-                MATRIX,
-                layout=layout,
-                stiffness=scipy.linalg.block_diag(*(each[k].stiffness for each in pairs)),
-            )
-        )
-        for k in (0, 1)
-    )
-    c = tn.compare(old, new)
-    assert {number: int(one.changed.sum()) for number, one in c.found.items()} == {1: 4, 2: 0}
-    assert np.allclose(c.part(2).alpha_ratio, tn.compare(OLD, NEW).alpha_ratio)
-    c.write(tmp_path / "change.fits")
-    assert tn.read_comparison(tmp_path / "change.fits").summary() == c.summary()
+    paths = [tmp_path / name for name in ("old.fits", "new.fits")]
+    for k, path in enumerate(paths):
+        both = scipy.linalg.block_diag(*(each[k].stiffness for each in pairs))
+        tn.write_stiffness(replace(MATRIX, layout=layout, stiffness=both), path)
+    code, said, _ = inside("compare", *paths, "-o", tmp_path / "change.fits")
+    assert code == 0
+    assert "segment 1\nP45 segment 1: 45 actuators compared" in said
+    one, other = (tn.read_comparison(tmp_path / f"change-{number}.fits") for number in (1, 2))
+    assert (one.changed.sum(), other.changed.sum()) == (4, 0)
+    assert np.allclose(other.alpha_ratio, tn.compare(OLD, NEW).alpha_ratio)
 
 
 def test_a_comparison_can_be_read_again(tmp_path):

@@ -6,14 +6,13 @@ from pathlib import Path
 import pytest
 
 from truenewton.bench.simulated.truth import TRUTH
-from truenewton.calibration.file import CALIBRATIONS
 from truenewton.calibration.result import CALIBRATION
 from truenewton.comparison.result import COMPARISON
 from truenewton.estimation.findings.code import rows as threshold_rows
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
 from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
-from truenewton.tracking.law import TRACKING, TRACKINGS
+from truenewton.tracking.law import TRACKING
 
 DOCS = Path(__file__).parents[2] / "docs" / "files.md"
 VERDICT = DOCS.with_name("verdict.md")
@@ -31,9 +30,7 @@ FORMATS = {
     "Mirrors in several segments": FileFormat(extensions=(SEGMENTS,)),
     "The stiffness file": STIFFNESS,
     "The calibration file": CALIBRATION,
-    "The calibration of several segments": CALIBRATIONS.whole,
     "The tracking file": TRACKING,
-    "The tracking of several segments": TRACKINGS.whole,
     "The comparison file": COMPARISON,
     "The modal basis": MODES,
     "The truth of a simulation": TRUTH,

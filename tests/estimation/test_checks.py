@@ -170,14 +170,18 @@ def test_a_dead_actuator_and_exchanged_poles_are_reported():
 
 
 @pytest.mark.parametrize(
-    ("noise", "pair", "position"), [(1e-3, (15, 16), True), (5e-5, (2, 40), False)]
+    ("noise", "pair", "position"),
+    [(1e-3, (15, 16), True), (5e-5, (2, 40), False), (1e-3, (15, 16), False)],
 )
 def test_exchanged_cables_are_reported(noise, pair, position):
+    """By the stiffness; without POSITION the result is at best doubtful."""
     order = np.arange(45)
     order[list(pair)] = pair[::-1]
     files = p45(noise, 4) if position else p45(noise, 4, position=None)
     files = with_forces(files, lambda _, f: f[:, order])
-    check(files, "exchanged columns", str(pair[0] + 1), str(pair[1] + 1))
+    if position:
+        check(files, "exchanged columns", str(pair[0] + 1), str(pair[1] + 1))
+    assert tn.calibrate(Campaign(tuple(files))).verdict.level <= "doubtful"
 
 
 def test_the_most_likely_order_is_the_true_one_for_any_gains():

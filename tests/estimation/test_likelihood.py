@@ -482,8 +482,6 @@ def test_a_population_prior_is_optional_and_shrinks_alpha_to_the_mean():
     assert (pooled.statistical_error < plain.statistical_error).mean() > 0.7
     with pytest.raises(UnknownName, match="svd takes neither a population"):
         calibrate(campaign, "svd", population=True)
-    with pytest.raises(UnknownName, match="by segment, and the data are of a mirror in one piece"):
-        calibrate(campaign, motion={1: np.eye(campaign.layout.n)})
 
 
 def test_inconsistent_weights_cause_a_warning():

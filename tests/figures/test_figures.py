@@ -10,14 +10,25 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from PIL import Image
 
+import truenewton as tn
 from helpers.balanced import campaign_of
+from helpers.segmented import in_one, pieces
 from truenewton.calibration.figures import write_figures
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import OutputExists, UnknownName
 from truenewton.figures.layers import Layer
-from truenewton.figures.maps import mark_rings, names_by_ring, numbers_by_ring, plot_layout
+from truenewton.figures.maps import (
+    bears_names,
+    dot_radius,
+    mark_rings,
+    names_by_ring,
+    numbers_by_ring,
+    plot_layout,
+    segment_places,
+)
 from truenewton.figures.style import ALARM, COLUMN
 from truenewton.mirrors.known import p45
+from truenewton.mirrors.segmented import gmt
 from truenewton.statics.layout import layout, ring_centre, ring_of, rings
 
 
@@ -167,3 +178,21 @@ def test_fig_2_shows_the_edges_of_the_glass_where_they_are_known():
 def test_the_same_calibration_draws_the_same_bytes(calibration, tmp_path):
     one, two = (write_figures(calibration, tmp_path / name) for name in ("one", "two"))
     assert [p.read_bytes() for p in one] == [p.read_bytes() for p in two]
+
+
+def test_segments_are_named_beside_their_actuators():
+    """No dot is hidden, and the nearest is one of their own; the middle one's has no hole."""
+    whole = in_one(pieces(3)[0])[0].layout
+    wall = replace(whole, x=whole.x - whole.x[whole.segment == 1].mean())
+    for some in (gmt().layout, whole, wall):
+        places = segment_places(some)
+        assert [number for number, _, _ in places] == list(some.segments)
+        for number, x, y in places:
+            own = some.segment == number
+            near = np.hypot(1e3 * some.x - x, 1e3 * some.y - y)
+            assert near.min() > 2 * dot_radius(some)
+            assert own[near.argmin()]
+    assert segment_places(whole.part(whole.in_segment(1))) == []
+    one = p45().layout  # of two of them far apart dots are too small for names
+    two = tn.layout(np.append(one.x, one.x + 0.5), np.tile(one.y, 2), segment=np.repeat([1, 2], 45))
+    assert [bears_names(some) for some in (one, two)] == [True, False]

@@ -3,7 +3,6 @@
 import datetime
 import gzip
 import os
-import socket
 import sys
 
 import h5py
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 import scipy.io
 
-from truenewton.acquisition.folder import Journal, journal_path
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import (
     FormatError,
@@ -31,7 +29,6 @@ from truenewton.modal.true_stiffness import off_and_slaved
 from truenewton.modal.turbulence import Atmosphere, Pupil
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import layout
-from truenewton.statics.load import Load
 
 
 def header(*cards):
@@ -166,16 +163,6 @@ def test_an_inverse_does_not_depend_on_units():
             inverse_of_positive(wrong)
 
 
-def test_a_port_that_is_taken_leaves_no_keys(inside, tmp_path):
-    pytest.importorskip("asyncua")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        code, out, error = inside("serve", "p45", "-o", tmp_path / "keys", "--port", port)
-    assert (code, out, error.count("\n")) == (2, "", 1)
-    assert f"port {port} cannot be had" in error
-    assert not (tmp_path / "keys").exists()
-
-
 @pytest.mark.parametrize("broken", [lambda: np.linalg.inv(np.zeros((2, 2))), lambda: 1.0 / 0.0])
 def test_a_calculation_that_breaks_down_is_one_line(inside, monkeypatch, broken):
     main = sys.modules["truenewton.cli.main"]
@@ -228,13 +215,6 @@ def test_a_diagonal_stiffness_is_no_glass():
     matrix = StiffnessMatrix("M", datetime.datetime.now(datetime.UTC), where, 1e5 * np.eye(12))
     with pytest.raises(TrueNewtonError, match="STIFFNESS is diagonal: no actuator feels another"):
         calibrate(matrix)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows has none")
-def test_a_journal_is_a_file(tmp_path):
-    device(journal_path(tmp_path, Load("bare"), 1))
-    with pytest.raises(UnreadableFile, match="is a pipe or a device"):
-        Journal(tmp_path, Load("bare"), 1, 8)
 
 
 def test_a_name_of_odd_characters_is_a_label():

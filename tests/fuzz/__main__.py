@@ -73,7 +73,7 @@ def make_case(
     command, said = COMMANDS[name], []
     words, files = pick.choice(command.lines)
     words = list(words)
-    unused = () if name == "acquire" else ("run", "done", "keys")
+    unused = () if name == "acquire" else ("run", "done")
     shutil.copytree(sound, folder, ignore=lambda _, inside: {*unused} & {*inside})
     by_option = bool(command.options) and (not files or pick.random() < 0.25)
     if files and (not by_option or pick.random() < 0.2):

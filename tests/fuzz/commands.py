@@ -58,7 +58,7 @@ acquire 9 -o:text
     done.toml -o done --yes | done/* done/* done.toml GLASS
     plan.toml -o out --yes | plan.toml GLASS
     loop.toml -o out --yes | loop.toml GLASS
-    away.toml -o out --yes | away.toml keys/*
+    away.toml -o out --yes | away.toml
     given.toml -o out --yes | given.toml shapes.fits
 import 14 --unit:text --lengths:text --curvature:number --arc:flag --mirror:text --ids:text \
   --dataset:text --shell:integer --transpose:flag --date:text --json:flag -o:text
@@ -114,8 +114,6 @@ mirrors 3 --json:flag --plot:flag -o:text
     mirror.toml --json | GLASS
     table.toml --plot -o out.png | TABLE
     |
-serve 0.15 --port:integer --noise:number --fidelity:text
-    mirror.toml --port 48411 -o out | GLASS
 demo 0.15 --seed:integer -o:text
     -o out |
 """

@@ -18,10 +18,9 @@ from truenewton.cli.main import main
 
 SECONDS, WALL, MEMORY = 25, 75, 4 * 2**30
 LATE = (
-    "asyncua", "bokeh.embed", "bokeh.resources", "h5py", "matplotlib.backends.backend_agg",
+    "bokeh.embed", "bokeh.resources", "h5py", "matplotlib.backends.backend_agg",
     "matplotlib.backends.backend_pdf", "matplotlib.backends.backend_svg", "scipy.io",
 )  # fmt: skip
-STOPPED_AFTER = 4  # seconds, by SIGTERM: a server
 
 
 def inside(words: list[str], folder: Path, out: Path, error: Path) -> int:
@@ -66,12 +65,7 @@ def execute(command: str, words: list[str], folder: Path, beside: Path) -> tuple
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
         os._exit(inside([command, *words], folder, beside / "out", beside / "err"))
     os.close(held)
-    server = command == "serve"
-    ended = select.select([done], [], [], STOPPED_AFTER if server else WALL)[0]
-    if server and not ended:
-        os.kill(child, signal.SIGTERM)
-        ended = select.select([done], [], [], WALL)[0]
-    if not ended:
+    if not select.select([done], [], [], WALL)[0]:
         os.kill(child, signal.SIGKILL)
     os.close(done)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

@@ -7,11 +7,6 @@ from pathlib import Path
 
 import truenewton as tn
 from tests.helpers.acquisition_plans import write_shapes
-from truenewton.acquisition.acquire import chosen_bench
-from truenewton.acquisition.folder import Journal
-from truenewton.acquisition.plan import read_plan
-from truenewton.bench.opcua.keys import make_keys
-from truenewton.bench.protocol import Shape
 from truenewton.files.fits import read_fits
 
 from .foreign import make_foreign
@@ -50,9 +45,7 @@ drift = {alpha = 3e-3, zero = 1e-5, remounting = 1e-5}
 BENCHES = {
     "plan": '{kind = "simulated", seed = 1, force_noise = 1e-4, fidelity = "static"}',
     "loop": '{kind = "simulated", seed = 1, force_noise = 1e-4, fidelity = "loop"}',
-    "away": '{kind = "opcua", address = "opc.tcp://127.0.0.1:9", user = "operator", password_file ='
-    ' "keys/password.txt", certificate = "keys/client.der", private_key = "keys/client-key.pem",'
-    ' server_certificate = "keys/server.der"}',
+    "away": '{kind = "python", address = "away:Bench"}',
 }
 
 
@@ -78,7 +71,6 @@ def make_sound(at: Path) -> None:
         ("ecsv", "mirror.toml", "table.toml"),
     ):
         (at / f"{name}.toml").write_text(f"{PLAN.replace(old, new)}bench = {BENCHES['plan']}\n")
-    make_keys(at / "keys")
     days = [
         f"simulate mirror.toml -o d{k} --cycles 2 --seed 1 --temperature {15 + 4 * k}"
         for k in range(4)
@@ -96,24 +88,7 @@ def make_sound(at: Path) -> None:
     write_shapes(at / "shapes.fits", 1e-7 * read_fits(at / "m.fits").pixels("MODES").T)
     must("calibrate stiffness.fits -o feed.fits", at)
     make_foreign(at)
-    _interrupt(at)
+    for path in (at / "run").glob("ring*.fits"):  # as if it had been stopped in its third cycle
+        path.unlink()
     for k in range(4):
         shutil.rmtree(at / f"d{k}")
-
-
-def _interrupt(at: Path) -> None:
-    """Leave the folder `run` as if it had been stopped in its third cycle."""
-    plan = read_plan(at / "plan.toml")
-    bench = chosen_bench(plan, at)
-    for path in sorted((at / "run").glob("ring*.fits")):
-        path.unlink()
-    journal = Journal(at / "run", plan.loads[1], 1, bench.layout.n)
-    bench.put_on(plan.loads[1])
-    shapes = read_fits(at / "run" / ".shapes").pixels("SHAPES")
-    for k in range(8):
-        shape = Shape(plan.loads[1], 1, k // 2 + 1, (1, -1)[k % 2], shapes[k // 2])
-        bench.command(shape)
-        journal.append(
-            1767225600000000 + 2000000000 + k * 500000, shape, True, bench.read(64), 1e-4
-        )
-    journal.close()

@@ -31,17 +31,17 @@ FILE = "test_thresholds.py"
 PACKAGES = ("modal", "comparison", "tracking", "recalibration", "planning", "calibration",
             "estimation")  # fmt: skip
 # Drawing and tables; files whose mechanism goes or is about to be built anew.
-NO_DECISIONS = ("figures.py", "summary.py", "workers.py", "recalibration/reference.py",
-                "estimation/effects/", "estimation/campaign_ml.py")  # fmt: skip
-# Steps, sizes of blocks, rounding, physics: of the computation, not of the data. The third load of
-# a plan goes; NEGLIGIBLE_SCALE_ERROR is used in estimation/effects.
+NO_DECISIONS = ("figures.py", "summary.py", "workers.py", "estimation/effects/",
+                "estimation/campaign_ml.py")  # fmt: skip
+# Steps, sizes of blocks, rounding, physics: of the computation, not of the data.
+# NEGLIGIBLE_SCALE_ERROR is used in estimation/effects.
 COMPUTATION = re.compile(
     r"(?:MAX_|SCALE_|LAW_)?(?:STEPS|PASSES|ITERATIONS|NAMING_PASSES|PREDICTION_STEPS|DRAWS)|BLOCKS?"
     r"|ROUNDING|GRAVITY|POUND|WAVELENGTH|ARCSECOND|FRIED|SPECTRUM|ORDER|SERIES_\w+|\w+_AT_ONCE"
     r"|MIN_BLOCK|MAX_EXACT_ORDER|MAX_ORDERS|MIN_LIMIT|BY_TURBULENCE|HELD_INFORMATION|MAX_STEP"
     r"|STEP_TOLERANCE|SETTLED_STEP|MIN_RELATIVE_SIZE|MAX_LEVERAGE|MIX_\w+|UNCONSTRAINED|FACTORS"
     r"|SPREAD_GRID|DISTANCE_BINS|TYPICAL_STIFFNESS|MAX_NUMBER|LARGEST_ALPHA|MIN_START_ALPHA"
-    r"|DETECTION_SIGMAS|NEGLIGIBLE_SCALE_ERROR"
+    r"|NEGLIGIBLE_SCALE_ERROR"
 )
 
 

@@ -1,15 +1,22 @@
 """The known mirrors, their family, and mirrors from a file."""
 
 import json
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.acquisition_plans import small_plan
+from truenewton.acquisition.plan import shapes_and_forces
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
 from truenewton.mirrors import known
 from truenewton.mirrors.file import check_mirror, mirror_from
 from truenewton.mirrors.glass import Annulus, Shell
 
+PAGE = Path(__file__).parents[2] / "docs" / "mirrors.md"
 MINE = """
 name = "MINE"
 actuators = "actuators.csv"
@@ -159,3 +166,27 @@ def test_the_command_lists_tells_and_draws(inside, tmp_path, monkeypatch, mine):
     assert json.loads(inside("mirrors", mine, "--json")[1])["actuators"] == 6
     assert inside("mirrors", "p45", "--plot", "-o", "p45.doc")[0] == 2
     assert inside("mirrors", "nobody")[2].startswith("truenewton: no mirror is called 'nobody'")
+
+
+def test_the_mirror_file_of_the_page_is_a_mirror(tmp_path):
+    """With its table; what may be left out is left out, and has the value that the page gives."""
+    text = PAGE.read_text(encoding="utf-8")
+    (mine,) = re.findall(r'```toml\n(name = "MINE".*?)```', text, re.DOTALL)
+    (table,) = re.findall(r"```text\n(ID,X.*?)```", text, re.DOTALL)
+    (tmp_path / "actuators.csv").write_text(table)
+    (tmp_path / "mine.toml").write_text(mine)
+    mirror = mirror_from(tmp_path / "mine.toml")
+    plan = replace(small_plan(count=2), mirror="mine.toml")
+    assert shapes_and_forces(plan, mirror, tmp_path)[0].shape == (2, 6)
+    given = re.findall(r"`(\w+ = [^`]+)`", text.split("## Optional entries")[1].split("\n\n")[2])
+    assert len(given) == 8
+    for name, value in tomllib.loads("\n".join(given)).items():
+        assert np.array_equal(getattr(mirror, name), value), name
+    needed = mine.split("[sensor]")[0]
+    (tmp_path / "mine.toml").write_text(needed)
+    mirror_from(tmp_path / "mine.toml")
+    for line in needed.splitlines():
+        if "=" in line and not line.startswith("radius_of_curvature"):
+            (tmp_path / "mine.toml").write_text(f"\n{needed}".replace(f"\n{line}\n", "\n"))
+            with pytest.raises(FormatError, match=f"lacks '{line.split(' ')[0]}'; add it"):
+                mirror_from(tmp_path / "mine.toml")

@@ -15,7 +15,7 @@ from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.sensor_model import displaced_readings
-from truenewton.mirrors.shell.dynamics import VISCOSITY, film_damping, moving_mass
+from truenewton.mirrors.shell.dynamics import moving_mass
 from truenewton.mirrors.shell.shell_model import (
     forces_under,
     model_shell,
@@ -116,7 +116,7 @@ def test_frequencies(plate_and_actuators, length, published, worst):
     """Stiffness and mass at nu = 0.3, from above."""
     plate, at = plate_and_actuators
     mirror = replace(
-        ROUND, layout=at, shell=plate, magnet_mass=0.0, puck_radius=0.0, vent_radius=0.0,
+        ROUND, layout=at, shell=plate, magnet_mass=0.0, puck_radius=0.0,
         sensor=Annulus(1e-6, 1e-6),
     )  # fmt: skip
     glass = model_shell(mirror)
@@ -126,10 +126,6 @@ def test_frequencies(plate_and_actuators, length, published, worst):
     got = np.sqrt(eigh(K, M, eigvals_only=True)[3:8] * per_mass) * length**2
     excess = got / published - 1
     assert np.all((excess > -1e-4) & (excess < worst)), excess
-    if plate.outline is None:
-        # Moved as a whole the film of air takes 3 pi mu R^4 / 2 h^3 of its velocity.
-        exact = 1.5 * np.pi * VISCOSITY * plate.outer_radius**4 / mirror.gap**3
-        assert film_damping(glass, shapes).sum() == pytest.approx(exact, rel=5e-3)
 
 
 L_SHAPE = ((-0.08, -0.08), (0.12, -0.08), (0.12, 0.02), (0.02, 0.02), (0.02, 0.12), (-0.08, 0.12))

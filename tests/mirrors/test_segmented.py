@@ -1,10 +1,9 @@
 """Mirrors in segments: those that are known, those of files, and their simulation."""
 
-import contextlib
 import json
+import os
 import re
-import shutil
-import signal
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +12,10 @@ from scipy.spatial import cKDTree
 
 import truenewton as tn
 from helpers.json_output import checked
-from helpers.opcua_server import behind, free_port
 from truenewton.acquisition.acquire import chosen_bench
-from truenewton.bench.opcua import server
-from truenewton.bench.protocol import BenchChoice
-from truenewton.bench.simulated.static import bench_of, campaign_on, seed_of, static_bench, truth_of
-from truenewton.calibration.methods import seen_of
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.simulated.static import bench_of, campaign_on, static_bench, truth_of
+from truenewton.cli.segments import numbered_path
 from truenewton.errors import FormatError
 from truenewton.mirrors.file import check_mirror, mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Outline
@@ -153,7 +150,7 @@ def test_parts_that_do_not_go_together(inside, tiny):
     assert "segment DISC has NZ other than 1" in inside("simulate", tiny, "-o", folder)[2]
 
 
-@pytest.mark.parametrize("command", ["serve", "prove", "simulate --fidelity loop -o c"])
+@pytest.mark.parametrize("command", ["prove", "simulate --fidelity loop -o c"])
 def test_what_takes_no_segments_says_so(inside, tiny, monkeypatch, command):
     monkeypatch.chdir(tiny.parent)
     name, *more = command.split()
@@ -183,41 +180,48 @@ def test_a_plan_of_segments_is_that_of_the_worst(inside, tiny):
     assert "is a mirror in segments; give the file of one segment" in error
 
 
-def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
-    """Their files make the mirror: its actuators, and the truth that a simulation of it has."""
+def test_segments_are_acquired_one_by_one_and_read_from_all_their_files(inside, tiny):
+    """Each has its actuators, and the truth that a simulation of the whole mirror has."""
     plan, folders = tiny.with_name("plan.toml"), []
     text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
-    plan.write_text(text.replace("cycles = 4", "cycles = 1").replace("count = 0", "count = 12"))
+    for old, new in (
+        ("cycles = 4", "cycles = 1"),
+        ("turns = 3", "turns = 1"),
+        ("count = 0", "count = 12"),
+    ):
+        text = text.replace(old, new)
+    plan.write_text(text)
     for number in (1, 2, 3):
         folders.append(tiny.with_name(f"segment-{number}"))
         words = ("acquire", plan, "--segment", number, "-o", folders[-1], "--yes")
         code, _, error = inside(*words)
         assert code == 0, error
     mirror = whole_mirror_from(tiny)
-    data = tn.read(folders)
-    assert data.instrument == "TINY"
-    assert data.layout.same_as(mirror.layout)
-    made = tn.calibrate(data)
     truth = truth_of(bench_of(mirror, 1, force_noise=1e-4, temperature=20.0))
     assert np.array_equal(
         np.concatenate([tn.read_truth(f"{folder}.truth.fits").alpha for folder in folders]),
         truth.alpha,
     )
-    assert np.abs((made.column("alpha") - truth.alpha) / made.column("error")).max() < 4.5
+    for number in (1, 2, 3):
+        data, own = tn.read(folders, segment=number), mirror.layout.in_segment(number)
+        assert data.instrument == f"TINY segment {number}"
+        assert data.layout.same_as(mirror.layout.part(own))
+        made = tn.calibrate(data)
+        assert np.abs((made.alpha - truth.alpha[own]) / made.error).max() < 4.5
     assert tn.read(folders[1]).instrument == "TINY segment 2"
     elsewhere = replace(tn.read_plan(plan), bench=BenchChoice("opticalib", "lab:mirror"))
     with pytest.raises(FormatError, match=r"tiny\.toml' is a mirror in segments"):
         chosen_bench(elsewhere, tiny.parent)
     code, _, error = inside("info", folders[1], "--segment", 3)
     assert (code, error.count("\n")) == (2, 1)
-    assert f"{folders[1]}: is of segment 2, not 3; give the files of segment 3" in error
+    assert f"{folders[1]}{os.sep}" in error
+    assert "there is no segment 3; choose 2" in error
     alone = tiny.with_name("alone.fits")
     tn.calibrate(tn.read(folders[1])).write(alone)
     assert inside("info", alone, "--segment", 2)[0] == 0
     code, _, error = inside("info", alone, "--segment", 3)
     assert code == 2
-    assert f"{alone}: is of segment 2, not 3" in error
-    assert tn.read(folders[:2]).numbers == (1, 2)
+    assert f"{alone}: there is no segment 3; choose 2" in error
     code, out, _ = inside("acquire", plan, "--segment", 1, "-o", folders[0], "--yes")
     assert "complete already" in out
     code, _, error = inside("acquire", plan, "--segment", 3, "-o", folders[0], "--yes")
@@ -225,42 +229,33 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     assert "was begun with another plan: -segment = 1, +segment = 3" in error
 
 
-def test_a_segment_is_served_and_acquired_at_its_address(inside, tiny, keys_folder, monkeypatch):
-    """As each has a control unit of its own: its number stands in the address and the key files."""
-    port, benches = free_port(), []
-    while not (digits := set(str(port)) & set("123")):
-        port = free_port()
-    number = int(min(digits))
+CONTROL = """
+import truenewton as tn
 
-    @contextlib.asynccontextmanager
-    async def until_stopped(bench, keys, at):
-        benches.append(bench)
-        signal.raise_signal(signal.SIGINT)  # as Ctrl-C once it is served
-        yield f"opc.tcp://127.0.0.1:{at}"
+def unit(seed):
+    return lambda mirror: tn.SimulatedBench(mirror, seed)
 
-    monkeypatch.setattr(server, "serving", until_stopped)
-    keys = tiny.with_name(f"keys-{number}")
-    shutil.copytree(keys_folder, keys)
-    served = ("serve", tiny, "--keys", keys, "--port", port, "--seed", 7, "--segment")
-    code, printed, error = inside(*served, number)
-    assert code == 0, error
-    assert printed.startswith(f"the simulated bench of TINY segment {number}, ")
-    code, _, error = inside(*served, 4)
+unit1, unit2, unit3 = map(unit, (71, 72, 73))
+"""
+
+
+def test_a_segment_is_acquired_at_its_own_address(inside, tiny, monkeypatch):
+    """As each has a control unit of its own: its number stands in the address."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    tiny.with_name("control_of_tiny.py").write_text(CONTROL)
+    text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
+    text = re.sub("(?m)^(cycles|turns) = .*$", r"\1 = 1", re.sub("(?m)^settling = .*$", "", text))
+    bench = '[bench]\nkind = "python"\naddress = "control_of_tiny:unit{segment}"\n'
+    plan, folder = tiny.with_name("plan.toml"), tiny.with_name("second")
+    plan.write_text("settling = 0.0\n" + text.split("[bench]")[0] + bench)
+    code, _, error = inside("acquire", plan, "--segment", 4, "-o", folder, "--yes")
     assert code == 2
     assert "there is no segment 4; choose 1, 2, 3" in error
-
-    bench = printed[printed.index("[bench]") :].replace(keys.name, "keys-{segment}")
-    bench = bench.replace(str(port), str(port).replace(str(number), "{segment}"))
-    text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
-    text = re.sub("(?m)^cycles = .*$", "cycles = 1", re.sub("(?m)^settling = .*$", "", text))
-    plan, folder = tiny.with_name("plan.toml"), tiny.with_name("served")
-    plan.write_text("settling = 0.0\n" + text.split("[bench]")[0] + bench)
-    with behind(benches[0], keys, port):
-        code, _, error = inside("acquire", plan, "--segment", number, "-o", folder, "--yes")
+    code, _, error = inside("acquire", plan, "--segment", 2, "-o", folder, "--yes")
     assert code == 0, error
     whole, found = whole_mirror_from(tiny), tn.calibrate(tn.read(folder))
-    assert found.layout.same_as(whole.layout.part(whole.layout.segment == number))
-    truth = static_bench(whole.segments[number - 1], seed_of(7, number)).truth
+    assert found.layout.same_as(whole.layout.part(whole.layout.segment == 2))
+    truth = static_bench(whole.segments[1], 72).truth
     assert np.abs((found.alpha - truth.alpha) / found.error).max() < 4.5
 
 
@@ -274,8 +269,8 @@ def test_what_sensors_of_segments_see(inside, tiny):
     by_segment = segment_sensor_models(whole, whole.layout)
     assert sorted(by_segment) == [1, 2, 3]
     for number, of_it in by_segment.items():
-        assert np.array_equal(seen_of(seen, whole.layout, number), of_it)
-        assert seen_of(by_segment, whole.layout, number) is of_it
+        part = whole.layout.in_segment(number)
+        assert np.array_equal(seen[:, part][:, :, part], of_it)
     assert np.array_equal(sensor_model(whole, whole.layout.part(own)), by_segment[2])
     (edge,) = (whole.seen_edges()[1] - [place.x, place.y],)
     at = whole.layout.part(own)
@@ -291,26 +286,29 @@ def test_what_sensors_of_segments_see(inside, tiny):
     assert inside("simulate", tiny, "-o", folder, "--cycles", 2, "--noise", 3e-5)[0] == 0
     asked = ("--method", "reciprocity", "--mirror", tiny)
     assert inside("calibrate", folder, *asked, "-o", found)[0] == 0
-    truth, calibrated = tn.read_truth(tiny.with_name("r.truth.fits")), tn.read(found)
-    assert np.abs((calibrated.column("alpha") - truth.alpha) / calibrated.column("error")).max() < 4
+    truth = tn.read_truth(tiny.with_name("r.truth.fits"))
+    for number in by_segment:
+        part, made = whole.layout.in_segment(number), tn.read(numbered_path(found, number))
+        assert np.abs((made.alpha - truth.alpha[part]) / made.error).max() < 4
     code, _, error = inside("calibrate", folder, *asked[:3], tiny.with_name("square.toml"))
     assert code == 2
     assert "with its ACTUATORS table; of a segment, that of the whole" in error
     check_edges_on_maps(inside, whole, tiny, found)
 
 
-def check_edges_on_maps(inside, whole, tiny, made):
+def check_edges_on_maps(inside, whole, tiny, found):
     """Behind the actuators of a calibration; of another mirror none."""
     page = tiny.with_name("e.html")
     edges = whole.seen_edges()
-    code, _, error = inside("report", made, "--mirror", tiny, "-o", page)
-    assert code == 0, error
-    text = page.read_text("utf-8")
-    assert "Lines: edges of the glass." in text
-    x, y = (json.loads(re.findall(rf'\["{k}s",(\[\[.*?\]\])\]', text)[0]) for k in "xy")
-    for edge, at_x, at_y in zip(edges, x, y, strict=True):
+    for number, edge in enumerate(edges, 1):
+        made = numbered_path(found, number)
+        code, _, error = inside("report", made, "--mirror", tiny, "-o", page, "--overwrite")
+        assert code == 0, error
+        text = page.read_text("utf-8")
+        assert "Lines: edges of the glass." in text
+        x, y = (json.loads(re.findall(rf'\["{k}s",(\[\[.*?\]\])\]', text)[0]) for k in "xy")
         closed = np.concatenate([edge, edge[:1]])
-        assert np.stack([at_x, at_y], axis=1) == pytest.approx(1e3 * closed)
+        assert np.stack([x[0], y[0]], axis=1) == pytest.approx(1e3 * closed)
     with pytest.raises(tn.errors.CampaignMismatch, match="of P45 are not those of the data"):
         edges_for(tn.mirrors.p45(), whole.layout)
     for edge, number in zip(edges, (1, 2, 3), strict=True):

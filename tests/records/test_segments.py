@@ -1,5 +1,6 @@
-"""Mirrors in several segments: each balances by itself, and files hold them together."""
+"""Mirrors in several segments: files hold them together, and data of one are read at a time."""
 
+import datetime
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,13 @@ from astropy.io import fits
 
 import truenewton as tn
 from helpers.segmented import in_one, pieces
-from truenewton.errors import CampaignMismatch, FormatError, GeometryError
+from truenewton.errors import (
+    CampaignMismatch,
+    FormatError,
+    GeometryError,
+    SeveralSegments,
+    UnknownName,
+)
 from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import cycle_from, write_campaign, write_cycle
@@ -106,32 +113,93 @@ def test_one_segment_is_a_mirror_in_one_piece(three, tmp_path):
     assert len(Campaign((made,))) == 1
 
 
-def test_files_of_single_segments_make_the_mirror(cycles, tmp_path):
+def test_one_segment_is_read_from_files_of_all_or_of_single_ones(three, cycles, tmp_path):
     """In any order, of some segments or of one; where one has two, they are its campaign."""
-    with pytest.raises(CampaignMismatch, match="3 segments, which balance separately"):
-        Campaign(tuple(cycles))
-    whole = tn.SegmentedData(tuple(cycles))
-    for number in (3, 1, 2):
-        one = [c for c in whole.part(number) if number != 2 or c.number < 2]
-        write_campaign(one, tmp_path / f"s{number}")
+    alone = {k: [c.of_segment(k) for c in cycles if k != 2 or c.number < 2] for k in (1, 2, 3)}
+    for number, own in alone.items():
+        write_campaign(own, tmp_path / f"s{number}")
     write_campaign([c for c in cycles if c.number > 1], tmp_path / "whole")
-    parts = tn.read(*(tmp_path / f"s{number}" for number in (3, 1)))
-    assert (parts.numbers, parts.instrument) == ((1, 3), whole.instrument)
-    assert parts.layout.id.tolist() == [
-        *whole.part(1).layout.id.tolist(), *whole.part(3).layout.id.tolist()
-    ]  # fmt: skip
-    for mine, yours in zip(parts.part(3), whole.part(3), strict=True):
-        assert np.array_equal(mine.force, yours.force)
-        assert mine.instrument == yours.instrument
-    both = tn.read(tmp_path / "s2", tmp_path / "whole")
-    assert both.numbers == (1, 2, 3)
-    assert len(both.part(2)) == len(whole.part(2))
-    assert both.instrument == whole.instrument
-    alone = tn.read(tmp_path / "s2")
-    assert isinstance(alone, tn.Campaign)
-    other = replace(alone.cycles[0], instrument="OTHER")
-    with pytest.raises(CampaignMismatch, match=r"is of TEST, .* of OTHER"):
-        tn.SegmentedData((other, *whole.part(1)))
+    for folders, number, count in (
+        (("s3", "s1"), 1, 4), (("s3", "s1"), 3, 4), (("s2", "whole"), 2, 4), (("s2",), 2, 2),
+        (("whole", "s2"), 3, 2),
+    ):  # fmt: skip
+        found = tn.read_campaign(*(tmp_path / name for name in folders), segment=number)
+        assert (len(found), found.instrument) == (count, f"TEST segment {number}")
+        for cycle in found:
+            name = cycle.load.key, cycle.number
+            (mine,) = [c for c in cycles if (c.load.key, c.number) == name]
+            assert np.array_equal(cycle.force, mine.of_segment(number).force)
+    for paths in ([tmp_path / "whole"], [tmp_path / "s3", tmp_path / "s1"]):
+        with pytest.raises(SeveralSegments, match=r"read the files with segment=1, or use of_seg"):
+            tn.read(*paths)
+    with pytest.raises(SeveralSegments, match=r"bare-002.fits: contains segments 1 to 3, each of"):
+        tn.calibrate(tmp_path / "whole")
+    with pytest.raises(UnknownName, match=r"bare-001.fits: there is no segment 9; choose 1, 3"):
+        tn.read(tmp_path / "s3", tmp_path / "s1", segment=9)
+    assert isinstance(tn.read(tmp_path / "s2"), tn.Campaign)
+
+
+def test_files_that_do_not_belong_together_are_refused(three, cycles, tmp_path):
+    alone = [cycles[0].of_segment(k) for k in (1, 2)]
+    with pytest.raises(CampaignMismatch, match="3 segments, which balance separately; take one"):
+        Campaign(tuple(cycles))
+    with pytest.raises(CampaignMismatch, match=r"is of OTHER, .* of TEST"):
+        tn.calibrate([alone[0], replace(alone[1], instrument="OTHER")])
+    whole = replace(alone[1], layout=replace(alone[1].layout, segment=None))
+    with pytest.raises(FormatError, match="has no segment, and other files have; add the column"):
+        tn.calibrate([alone[0], whole])
+    write_cycle(whole, tmp_path / "one.fits")
+    with pytest.raises(UnknownName, match="no segment 2; the mirror is in one piece: leave the"):
+        tn.read(tmp_path / "one.fits", segment=2)
+    first, *others = cycles
+    own = first.segments
+    shifted = (
+        own[0]._replace(weight=own[0].weight - 0.1), own[1]._replace(weight=own[1].weight + 0.1),
+        own[2],
+    )  # fmt: skip
+    write_campaign([replace(first, segments=shifted), *others], tmp_path / "shifted")
+    with pytest.raises(CampaignMismatch, match=r"WEIGHT"):
+        tn.read(tmp_path / "shifted", segment=1)
+    assert len(tn.read(tmp_path / "shifted", segment=3)) == len(cycles)  # a body of its own
+
+
+@pytest.fixture(scope="module")
+def matrix():
+    """A stiffness of two segments that touch nothing, with noise between them."""
+    random, one = np.random.default_rng(3), tn.rings([0.05, 0.1], [6, 12])
+    both = layout(np.append(one.x, one.x + 0.5), np.tile(one.y, 2), segment=np.repeat([1, 2], 18))
+    blocks = np.kron(np.eye(2), np.ones((18, 18))) * random.standard_normal((36, 36))
+    noise = 1e-3 * np.abs(blocks).max() * random.standard_normal((36, 36))
+    date = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
+    return tn.StiffnessMatrix("TWO", date, both, blocks + noise)
+
+
+def test_a_segment_of_a_matrix_is_its_block(matrix, tmp_path):
+    tn.write_stiffness(matrix, tmp_path / "k.fits")
+    with pytest.raises(SeveralSegments, match=r"k.fits: contains segments 1, 2, each of which"):
+        tn.read_stiffness(tmp_path / "k.fits")
+    for number, own in ((1, slice(18)), (2, slice(18, 36))):
+        one = tn.read_stiffness(tmp_path / "k.fits", segment=number)
+        assert (one.instrument, one.layout.segments) == (f"TWO segment {number}", ())
+        assert np.array_equal(one.stiffness, matrix.stiffness[own, own])
+        tn.write_stiffness(one, tmp_path / "one.fits", overwrite=True)
+        again = tn.read_stiffness(tmp_path / "one.fits", segment=number)
+        assert again.instrument == one.instrument
+    with pytest.raises(SeveralSegments, match="contains segments 1, 2"):
+        tn.calibrate(matrix)
+
+
+def test_what_couples_segments_is_told_from_noise(matrix):
+    random, k = np.random.default_rng(4), matrix.stiffness
+    joined = k.copy()
+    link = 1e-3 * np.abs(k).max() * random.standard_normal((18, 18))
+    joined[:18, 18:] += link
+    joined[18:, :18] += link.T
+    swapped = np.roll(k, 18, axis=0)
+    for stiffness, coupled in ((k, False), (joined, True), (swapped + k, True)):
+        for number in (1, 2):
+            one = replace(matrix, stiffness=stiffness).of_segment(number)
+            assert (one.coupling is not None) == coupled
 
 
 def test_layouts_name_their_segments():

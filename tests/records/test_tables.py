@@ -9,7 +9,7 @@ import pytest
 
 import truenewton as tn
 from helpers.balanced import campaign_of
-from truenewton.errors import CampaignMismatch, FormatError, GeometryError
+from truenewton.errors import CampaignMismatch, FormatError, GeometryError, SeveralSegments
 
 CAMPAIGN = campaign_of(seed=3, noise=1e-4, disabled=(5,))[0]
 LAYOUT = CAMPAIGN.layout
@@ -84,8 +84,8 @@ def test_segments_are_campaigns_of_their_own():
         own = part.segment == k
         runs = [{**run, "force": run["force"][:, own]} for run in LOADS[BARE]]
         cycles += tn.Campaign.from_arrays("TEST", part.part(own), *WEIGHTS, {BARE: runs})
-    both = tn.SegmentedData(tuple(cycles))
-    assert both.numbers == (1, 2)
+    with pytest.raises(SeveralSegments, match="segments 1, 2"):
+        tn.calibrate(cycles)
 
 
 def test_weights_may_be_masses_and_have_a_sign():

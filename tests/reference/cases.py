@@ -109,11 +109,11 @@ def result_of(made: Any) -> Result:
     """Return what is recorded of what a case made."""
     if isinstance(made, Result):
         return made
-    if isinstance(made, tn.Parts):
-        parts = [result_of(one) for one in made.found.values()]
+    if isinstance(made, list):
+        parts = [result_of(one) for one in made]
         names = parts[0].columns
         return Result(
-            (*verdict_lines(made.verdict), *(line for part in parts for line in part.sentences)),
+            tuple(line for part in parts for line in part.sentences),
             tuple(i for part in parts for i in part.ids),
             {name: np.concatenate([part.columns[name] for part in parts]) for name in names},
         )
@@ -205,8 +205,9 @@ def closed_loop() -> tn.Campaign:
 
 
 @case("segments as of m4", fast=True)
-def segments() -> tn.Parts[tn.Calibration]:
-    return tn.calibrate(tn.SegmentedData(tuple(in_one(pieces(3)[0]))))
+def segments() -> list[tn.Calibration]:
+    cycles = in_one(pieces(3)[0])
+    return [tn.calibrate([cycle.of_segment(k) for cycle in cycles]) for k in (1, 2, 3)]
 
 
 QUICK = {"clean", "all alphas drift 0.3 %/h", "two far cables swapped", "a dead actuator"}

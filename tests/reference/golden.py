@@ -37,7 +37,7 @@ from astropy.io import fits
 
 from helpers.foreign_files import measured, supervisor_folder
 from truenewton.cli.main import main as run_main
-from truenewton.importers import supervisor
+from truenewton.importers import export
 
 RECORD = Path(__file__).parent / "golden.txt"
 TOLERANCE = 1e-4  # of the rms of a column of numbers
@@ -224,7 +224,7 @@ def outputs(words: list[str]) -> dict[str, list[str]]:
         mpl.rc_context({"svg.hashsalt": "golden"}),
         mock.patch.dict(os.environ, ENVIRONMENT),
         mock.patch("uuid.uuid4", names.__next__),
-        mock.patch.object(supervisor, "datetime", clock),
+        mock.patch.object(export, "datetime", clock),
     ):
         write_inputs()
         known = set(Path().rglob("*"))

@@ -74,6 +74,12 @@ def other_added(name: str, factor: float) -> tn.Campaign:
     )  # fmt: skip
 
 
+def in_proportion(bench: SmallBench) -> None:
+    """Let the noise of a reading be 1 % of the force."""
+    force = bench.readings
+    bench.error = bench.error + 0.01 * force * bench.random.standard_normal(force.shape)
+
+
 def stuck_with_noise() -> Result:
     """Return the verdict alone: alpha of what reads the same in all rows is rounding."""
     reads = every(
@@ -133,10 +139,23 @@ small("weights", {
     "loud readings": lambda: files(noise=0.2),
 })  # fmt: skip
 
+small("columns", {
+    "a column that lags by a row": lambda: every(force=lambda c: np.where(
+        EIGHTH, np.roll(c.force, 1, axis=0), c.force
+    )),
+    "a column that repeats another": lambda: every(force=lambda c: np.where(
+        EIGHTH, np.roll(c.force, 1, axis=1), c.force
+    )),
+})  # fmt: skip
+
 small("noise", {
     "FORCE in steps": lambda: every(files(noise=0.0),
                                     force=lambda c: 4e-5 * np.round(c.force / 4e-5)),
     "louder than declared": lambda: every(files(noise=1e-3), force_error=lambda _: 2e-4),
+    "quieter than declared, one cycle": lambda: tn.Campaign(tuple(
+        replace(files(noise=1e-3).cycles[k], force_error=5e-3) for k in (0, 4)
+    )),
+    "in proportion to the force": lambda: files(in_proportion),
     "zeros reset with each file": lambda: gradients(9, 1e-5, 1e-5, zeros=1e-2)[0],
     "svd": lambda: tn.calibrate(files(), "svd"),
     "svd, loud": lambda: tn.calibrate(files(noise=1e-2), "svd"),

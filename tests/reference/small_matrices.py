@@ -88,6 +88,19 @@ def screened(change: Callable[[Array], Array]) -> Result:
     return Result(tuple(map(finding_line, (*found.effects, *found.warnings))))
 
 
+def rows_shifted() -> tn.Calibration:
+    """Return the result of 15 actuators, too few to judge their order, with rows shifted by one."""
+    layout, random = rings([0.05, 0.1], [5, 10]), np.random.default_rng(1)
+    k = symmetrised(springs(layout, lambda square: square * np.log(square) / (480.0 * np.pi)))
+    k = k / random.uniform(0.9, 1.1, 15)[:, None] * (1 + 2e-4 * random.standard_normal(k.shape))
+    return tn.calibrate(tn.StiffnessMatrix("15", DATE, layout, np.roll(k, 1, axis=0)), "ml")
+
+
+def rested(k: Array) -> Array:
+    """Return a matrix whose columns contain the forces at rest."""
+    return k + 0.05 * np.abs(np.diag(k)).mean() * np.ones((N, 1))
+
+
 def coupled() -> Result:
     """Return what is said of two segments that are joined."""
     random, layout = np.random.default_rng(3), rings([0.05, 0.1], [6, 12])
@@ -101,9 +114,9 @@ def coupled() -> Result:
         np.concatenate([layout.x, layout.x + 0.5]), np.tile(layout.y, 2),
         segment=np.repeat([1, 2], 18),
     )  # fmt: skip
-    data = tn.SegmentedData(stiffness=tn.StiffnessMatrix("TWO", DATE, both, stiffness))
-    made = tn.calibrate(data, "svd")
-    return Result(tuple(map(finding_line, made.part(1).findings)))
+    matrix = tn.StiffnessMatrix("TWO", DATE, both, stiffness)
+    made = tn.calibrate(matrix.of_segment(1), "svd")
+    return Result(tuple(map(finding_line, made.findings)))
 
 
 small("matrices", {
@@ -120,6 +133,8 @@ small("matrices", {
     "the diagonal too large": mistaken("diagonal 1 % too large", "svd"),
     "rigid motions partly removed": mistaken("50 % of rigid motions removed", "svd"),
     "5 % of asymmetry": by("svd", noise=0.05),
+    "rows shifted": rows_shifted,
+    "forces at rest not subtracted": lambda: screened(rested),
     "interrupted": interrupted,
     "segments that are joined": coupled,
 })  # fmt: skip

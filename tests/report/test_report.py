@@ -322,10 +322,9 @@ def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):
     assert np.flatnonzero(layers["findings"].values).tolist() == [2, 16]
 
 
-def test_the_csv_of_the_page_names_rings_or_segments_as_its_table_does():
-    """Its head has the name of the group, which the browser test downloads for rings."""
+def test_the_csv_of_the_page_names_rings_as_its_table_does():
     script = resources.files("truenewton.report.page").joinpath("templates/report.js").read_text()
     [heads] = re.findall(r"const heads = \[(.*) \.\.\.layers", script)
     [fields] = re.findall(r"const fields = \[(.*) \.\.\.layers", script)
-    assert fields == '"id", group, "x", "y",'
-    assert heads == '"ID", group.toUpperCase(), "X_mm", "Y_mm",'
+    assert fields == '"id", "ring", "x", "y",'
+    assert heads == '"ID", "RING", "X_mm", "Y_mm",'

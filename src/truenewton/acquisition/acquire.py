@@ -10,20 +10,16 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from truenewton.acquisition.folder import (
     Finished,
-    Journal,
-    SteadyClock,
     begin_or_resume,
     cycle_names,
+    cycle_of,
     finished_cycles,
-    journal_path,
     locked,
-    remove_journal,
 )
 from truenewton.acquisition.load_order import mounting_words, mountings
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
@@ -31,21 +27,18 @@ from truenewton.acquisition.taker import (
     Guard,
     Interruption,
     Onlooker,
+    Row,
     RunLog,
     SilentOnlooker,
     Taker,
-    force_noise,
     judge,
-    mean_sum,
     shape_name,
     sum_at_rest,
     sum_error,
 )
 from truenewton.arrays import Array
-from truenewton.bench.opcua import connect
-from truenewton.bench.opticalib import from_address
-from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
-from truenewton.bench.simulated.bench import SimulatedBench
+from truenewton.bench.choice import BENCH_KINDS, Order
+from truenewton.bench.protocol import Bench, Operator, OwnTime, Shape, faults_of, gradients_of
 from truenewton.bench.simulated.static import seed_of
 from truenewton.errors import (
     BenchFault,
@@ -62,7 +55,7 @@ from truenewton.records.file import cycle_name, write_cycle
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
-SEGMENT = "{segment}"  # in address and keys: its number, since each has its own control unit
+SEGMENT = "{segment}"  # in an address: its number, since each has its own control unit
 MAX_INVALID_IN_A_ROW = 5  # so many shapes that are not valid, one after another, end a run
 MAX_INVALID_AT_END = 3  # the same at the end of a cycle, which would else be complete
 MAX_REQUESTS = 3  # times for a load that is not on
@@ -79,13 +72,13 @@ def acquire(
 ) -> tuple[Path, ...]:
     """Run or resume a plan on a bench, into a folder of cycle files (docs/campaign.md).
 
-    The mirror is always brought to rest at the end. The same call resumes after a stop, and repeats
-    at most one shape.
+    The mirror is always brought to rest at the end. After a stop, the same call takes the cycles
+    that are missing.
 
     Parameters
     ----------
     bench
-        Hardware, a server or a simulation.
+        Hardware or a simulation.
     plan
         The campaign. If it is resumed, the plan must be equal to the copy in the folder.
     folder
@@ -119,12 +112,13 @@ def acquire(
     >>> [file.name for file in tn.acquire(tn.SimulatedBench(tn.mirrors.p45()), plan, "one-cycle")]
     ['bare-001.fits']
     """
-    mirror, layout = _agreed(bench, plan, beside)
+    with faults_of(f"{type(bench).__name__} with its instrument, layout, gap or gradients"):
+        mirror, layout = _agreed(bench, plan, beside)
     operator = operator or bench  # type: ignore[assignment]
     if not isinstance(operator, Operator):
         raise BenchFault("no operator puts the loads on", remedy="give an operator")
     with Interruption() as interruption, locked(folder) as folder:
-        plan, shapes = begin_or_resume(folder, plan, mirror, beside)
+        shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
         complete = finished_cycles(folder, plan, mirror, layout, 2 * len(shapes))
         files = tuple(folder / name for name in cycle_names(plan))
@@ -163,31 +157,15 @@ def _agreed(
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
-    """Return the bench of a plan; files that the plan names are relative to ``beside``."""
-    choice = plan.bench
-    if choice.kind == "simulated":
-        return simulated_bench(plan, beside)
-    mirror, _ = planned_mirror(plan, beside)  # refuses a missing segment before any connection
+    """Return the bench of a plan; files that the plan names are relative to ``beside``.
+
+    The truth of a simulated one depends on seed and segment only.
+    """
+    choice, mirror = plan.bench, planned_mirror(plan, beside)[0]
     if plan.segment:
-        given, number = vars(choice).items(), str(plan.segment)
-        texts: dict[str, Any] = {k: text.replace(SEGMENT, number) for k, text in given
-                                 if isinstance(text, str)}  # fmt: skip
-        choice = replace(choice, **texts)
-    if choice.kind == "opticalib":
-        return from_address(choice.address, mirror, beside)
-    return connect(choice, beside)
-
-
-def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> SimulatedBench:
-    """Return the simulated bench of a plan; its truth depends on seed and segment only."""
-    seed = plan.bench.seed
-    return SimulatedBench(
-        planned_mirror(plan, beside)[0],
-        seed_of(seed, plan.segment) if plan.segment else seed,
-        loads=plan.loads,
-        force_noise=plan.bench.force_noise,
-        fidelity=plan.bench.fidelity,
-    )
+        address = choice.address.replace(SEGMENT, str(plan.segment))
+        choice = replace(choice, address=address, seed=seed_of(choice.seed, plan.segment))
+    return BENCH_KINDS[choice.kind][0](Order(choice, mirror, plan.loads, beside))
 
 
 @dataclass(eq=False)
@@ -212,8 +190,13 @@ class Run(Taker):
         for (key, _), cycle in self.complete.items():
             if cycle.total is not None:
                 self.rest_sums[key] = cycle.total
-        ends = [cycle.end for cycle in self.complete.values()]
-        self._clock = SteadyClock(max(ends, default=None))
+        if self.complete:
+            end = max(cycle.end for cycle in self.complete.values())
+            start = min(cycle.start for cycle in self.complete.values())
+            if isinstance(self.bench, OwnTime):  # it begins again with each run
+                self.bench.wait((end - start).total_seconds() + self.plan.pause)
+            else:
+                self._last = end
 
     @contextmanager
     def noted(self) -> Iterator[None]:
@@ -240,20 +223,22 @@ class Run(Taker):
             with suppress(OutputFailed):  # a full disk must not keep the mirror from its rest
                 log.note("stop", error=type(error).__name__, why=str(error))
             try:
-                bench.rest()
+                with faults_of(f"{self._name}.rest"):
+                    bench.rest()
             except BenchFault as fault:
                 with suppress(OutputFailed):
                     log.note("not at rest", fault=fault.fault)
                 why = error.fault if isinstance(error, TrueNewtonError) else error
                 raise BenchFault(
                     f"the mirror may not be at rest ({fault.fault}), after: {why}",
-                    remedy="check the bench; the same command goes on with the campaign",
+                    remedy="check the bench; the same command takes the cycles that are missing",
                     path=self.folder,
                 ) from error
             with suppress(OutputFailed):
                 log.note("rest")
             if isinstance(error, TrueNewtonError):
-                then = "the mirror is at rest, what was taken is kept; the same command goes on"
+                then = "the mirror is at rest, complete cycles are kept; the same command takes the"
+                then += " others"
                 then += ", once that is corrected" if isinstance(error, LimitExceeded) else ""
                 remedy = f"{error.remedy}; {then}" if error.remedy else then
                 raise located(error, self.folder).changed(remedy=remedy) from error
@@ -267,29 +252,24 @@ class Run(Taker):
             if missing := [each for each in cycles if (load.key, each) not in self.complete]:
                 if self.plan.turns > 1:
                     self.onlooker.say(mounting_words(order, index))
-                rest_force = self._put_on(load, missing[0])
+                self._put_on(load, missing[0])
                 for number in missing:
-                    self._take_cycle(load, number, rest_force)
+                    self._take_cycle(load, number)
 
-    def _put_on(self, load: Load, number: int, *, again: bool = False) -> Array:
-        """Have a load put on until the forces show that it is; return those at rest, (n,) [N].
+    def _put_on(self, load: Load, number: int, *, again: bool = False) -> None:
+        """Have a load put on until the forces at rest show that it is.
 
         With ``again``, a person is asked only if the forces do not show that the load is still on.
         """
         self.rest()
         bench: object = self.bench
         sums, layout, message = self.rest_sums, self.bench.layout, ""
-        if load.key not in sums and journal_path(self.folder, load, number).exists():
-            with closing(Journal(self.folder, load, number, layout.n)) as journal:
-                rows = journal.rows()
-            columns = (rows[name] for name in ("force", "shape", "sign", "valid"))
-            if (before := mean_sum(layout, *columns)) is not None:
-                sums[load.key] = before
         rest = Shape(load, number, 0, 1, np.zeros(layout.n))
         ask = not again or self.operator is bench
         for _ in range(MAX_REQUESTS):
             if ask:
-                with self.interruption.at_once():
+                who = type(self.operator).__name__
+                with faults_of(f"{who}.put_on"), self.interruption.at_once():
                     self.operator.put_on(load)
             reading, fault = self.take(rest)
             if reading is None or fault:
@@ -303,7 +283,7 @@ class Run(Taker):
             if on or (ask and on is None):
                 sums[load.key] = total
                 self.guard.check_room(self.plan, self.mirror, load, reading.force)
-                return reading.force
+                return
             ask = True
         raise BenchFault(
             message,
@@ -311,37 +291,22 @@ class Run(Taker):
             " commanded force, positive along +z (docs/hardware.md)",
         )
 
-    def _take_cycle(self, load: Load, number: int, rest_force: Array) -> None:
-        """Take the missing shapes of a cycle, and write its file."""
-        with closing(Journal(self.folder, load, number, self.bench.layout.n)) as journal:
-            count, twin = journal.count, None
-            if count or journal.dropped:
-                self.log.note(
-                    "resume", load=load.name, cycle=number, kept=count, cut=journal.dropped
-                )
-            if count:
-                self.progress = replace(self.progress, done=self.progress.done + count)
-                self._clock.go_on_after(int(journal.rows()["instant"][-1]))
-            if count % 2:  # as its + twin the last one on record counts, which was valid
-                twin = np.array(journal.rows()["force"][-1])
-            for shape_number, sign in self._planned[count:]:
-                # The mirror answers in proportion: what + takes beyond rest, - takes short of it.
-                forecast = None if twin is None or sign > 0 else 2 * rest_force - twin
-                position = sign * self.shapes[shape_number - 1]
-                wanted = Shape(load, number, shape_number, sign, position)
-                twin = self._take_shape(journal, wanted, forecast)
-            cycle = journal.cycle(self.mirror, self.layout, self.bench)
-            path = self.folder / cycle_name(load, number)
-            write_cycle(cycle, path)
-            to_disk(self.folder)  # from here on the cycle is safe
-            self.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
-            del cycle  # its rows are mapped from the journal, which Windows would not remove
-        remove_journal(self.folder, load, number)
+    def _take_cycle(self, load: Load, number: int) -> None:
+        """Take the shapes of a cycle, and write its file in one step."""
+        rows = [
+            self._take_shape(Shape(load, number, shape, sign, sign * self.shapes[shape - 1]))
+            for shape, sign in self._planned
+        ]
+        cycle = cycle_of(rows, self.mirror, self.layout, self.bench)
+        path = self.folder / cycle_name(load, number)
+        write_cycle(cycle, path)
+        to_disk(self.folder)  # from here on the cycle is safe
+        self.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
 
-    def _take_shape(self, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
-        """Take one shape into the journal; return its forces [N] if they are valid."""
+    def _take_shape(self, shape: Shape) -> Row:
+        """Take one shape."""
 
-        def put_on_again(why: str) -> None:  # as after a server was restarted
+        def put_on_again(why: str) -> None:  # as after its electronics were restarted
             self.log.note("load again", shape, why=why)
             self.onlooker.say(
                 f"the bench refuses a shape ({why}): it may have lost its load; '{shape.load.name}'"
@@ -351,13 +316,9 @@ class Run(Taker):
 
         try:
             self.interruption.check()
-            reading, fault = self.take(shape, forecast, put_on_again)
+            reading, fault = self.take(shape, put_on_again)
         except Interrupted:
             raise Interrupted(f"stopped as asked, before {shape_name(shape)}") from None
-        sound = None if fault else reading
-        instant = self._clock.instant(sound.time if sound else None)
-        noise = force_noise(self.bench.layout, reading)
-        journal.append(instant, shape, not fault, reading, noise)
         now = self.progress
         in_a_row = now.invalid_in_a_row + 1 if fault else 0
         self.progress = replace(now, shape=shape, done=now.done + 1,
@@ -371,4 +332,4 @@ class Run(Taker):
                 f" {fault}",
                 remedy="check the bench",
             )
-        return sound.force if sound else None
+        return Row(shape, reading, not fault)

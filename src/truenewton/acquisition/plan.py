@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.bench.protocol import BENCH_KINDS, MAX_SAMPLES, BenchChoice, foreign_keys
+from truenewton.bench.choice import BENCH_KINDS, BenchChoice, foreign_keys
+from truenewton.bench.protocol import MAX_SAMPLES
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.fits import read_fits
 from truenewton.files.toml import filled, read_toml
@@ -121,34 +122,6 @@ class MirrorLimits(Table):
 
 
 @dataclass(frozen=True)
-class AssumedDrift(Table):
-    """Drift during a campaign, as assumed by the prediction [guess].
-
-    Attributes
-    ----------
-    alpha
-        Relative change of all alphas in an hour.
-    zero
-        Change of the zeros of all force readings in an hour [N].
-    remounting
-        Standard deviation of the change of all zeros at each change of load [N].
-
-    Examples
-    --------
-    >>> tn.AssumedDrift(alpha=0.001)
-    AssumedDrift(alpha=0.001, zero=1e-05, remounting=1e-05)
-    """
-
-    QUANTITIES: ClassVar = {
-        "alpha": _not_negative(""), "zero": _not_negative("N"), "remounting": _not_negative("N"),
-    }  # fmt: skip
-
-    alpha: float = 3e-3
-    zero: float = 1e-5
-    remounting: float = 1e-5
-
-
-@dataclass(frozen=True)
 class AssumedSensors(Table):
     """Properties of the sensors, as assumed by the prediction of reciprocity.
 
@@ -195,8 +168,7 @@ class CampaignPlan(Table):
         Tables of the plan.
     turns
         Order of the loads (`mountings`). 1: bare-ring. 2: bare-ring-bare. 3: bare-ring-bare-ring.
-        0: the largest, if it reduces the scale error more than cycles in the same time, else 1.
-    drift, sensors
+    sensors
         Assumptions of the prediction.
     segment
         Number of the segment of a segmented mirror; 0 for a mirror in one piece.
@@ -211,7 +183,7 @@ class CampaignPlan(Table):
 
     QUANTITIES: ClassVar = {
         "cycles": _count(1, MAX_CYCLES), "samples": _count(1, MAX_SAMPLES),
-        "turns": _count(0, MAX_TURNS), "segment": _count(0, MAX_ACTUATORS),
+        "turns": _count(1, MAX_TURNS), "segment": _count(0, MAX_ACTUATORS),
         "settling": _not_negative("s"), "pause": _not_negative("s"), "force_noise": _positive("N"),
     }  # fmt: skip
 
@@ -226,7 +198,6 @@ class CampaignPlan(Table):
     limits: MirrorLimits = MirrorLimits()
     bench: BenchChoice = BenchChoice()
     turns: int = 1
-    drift: AssumedDrift = AssumedDrift()
     sensors: AssumedSensors = AssumedSensors()
     segment: int = 0
 
@@ -234,7 +205,7 @@ class CampaignPlan(Table):
         super().__post_init__()
         check_quantities(self)
         if self.turns > self.cycles:
-            raise _wrong("turns", self.turns, "use no more turns than cycles, or turns = 0")
+            raise _wrong("turns", self.turns, "use no more turns than cycles")
         shapes, limits, bench = self.shapes, self.limits, self.bench
         if not limits.temperature[0] < limits.temperature[1]:
             raise _wrong("limits.temperature", list(limits.temperature), "put the lowest first")

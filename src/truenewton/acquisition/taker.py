@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from truenewton.acquisition.plan import CampaignPlan, MirrorLimits
 from truenewton.arrays import Array, jsonable, rms
-from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape
+from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape, faults_of
 from truenewton.errors import BenchFault, Interrupted, LimitExceeded
 from truenewton.files.outputs import in_one_line
 from truenewton.mirrors.known import Mirror
@@ -65,13 +65,10 @@ class Guard:
         said = f"may take {{:.4g}} N, {force:g} N for the shapes included, beyond its limit of"
         self._refuse(largest, self.limits.force, said, f"at rest under '{load.name}'")
 
-    def check_command(self, shape: Shape, forecast: Array | None) -> None:
-        """Refuse a command before it is given, also by its forecast (n,) forces [N], if any."""
+    def check_command(self, shape: Shape) -> None:
+        """Refuse a command before it is given."""
         where = f"in {shape_name(shape)}, which was not commanded"
         self._check_planned_stroke(shape.position, where)
-        if forecast is not None:
-            said = "takes {:.4g} N by forecast, beyond its limit of"
-            self._refuse(self._enabled(forecast), self.limits.force, said, where)
 
     def check_reading(self, shape: Shape, reading: Reading) -> None:
         """Refuse a reading beyond a limit; NaN is not judged here."""
@@ -322,6 +319,15 @@ class SilentOnlooker:
         """Show nothing."""
 
 
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A shape that was taken: its last reading, if any, and whether that is valid."""
+
+    shape: Shape
+    reading: Reading | None
+    valid: bool
+
+
 @dataclass(eq=False)
 class Taker:
     """Takes shapes on a bench, and remembers what the next reading is compared with."""
@@ -334,34 +340,33 @@ class Taker:
 
     def __post_init__(self) -> None:
         plan, bench = self.plan, self.bench
+        self._name = type(bench).__name__
         self.guard = Guard(plan.limits, bench.layout, bench.gap)
         first = Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n))
         self.progress = Progress(first, plan.cycles, smallest_gap=bench.gap)
         self._counter: int | None = None
+        self._last: datetime.datetime | None = None  # time of the last sound reading
         self._sound: tuple[Shape, Reading] | None = None  # the last
         self._rest: Reading | None = None  # the last of the mirror at rest
 
     def take(
-        self,
-        shape: Shape,
-        forecast: Array | None = None,
-        refused: Callable[[str], None] | None = None,
+        self, shape: Shape, refused: Callable[[str], None] | None = None
     ) -> tuple[Reading | None, str]:
         """Command a shape and read it, up to `MAX_ATTEMPTS` times.
 
-        Return the last reading, if any, and why it is not valid, or ''. The (n,) ``forecast`` of
-        the forces [N] is checked against the limits first. If the bench refuses the command,
-        ``refused`` is called once with the reason. A bench that is gone for too long is a
+        Return the last reading, if any, and why it is not valid, or ''. If the bench refuses the
+        command, ``refused`` is called once with the reason. A bench that is gone for too long is a
         `BenchFault`.
         """
-        self.guard.check_command(shape, forecast)
+        self.guard.check_command(shape)
         reading, fault = None, ""
         for attempt in range(1, MAX_ATTEMPTS + 1):
             self._await_bench()
             commanded = False
             try:
                 self.log.note("command", shape, stroke=float(np.abs(shape.position).max()))
-                self.bench.command(shape)
+                with faults_of(f"{self._name}.command"):
+                    self.bench.command(shape)
                 commanded = True
                 reading = self._read(shape)
             except BenchFault as error:
@@ -371,7 +376,7 @@ class Taker:
                 fault = self._unsound(shape, reading)
                 self._counter = reading.counter
                 if not fault:
-                    self._sound = shape, reading
+                    self._sound, self._last = (shape, reading), reading.time
                     self._rest = self._rest if shape.number else reading
                     break
             self.log.note("not sound", shape, attempt=attempt, fault=fault)
@@ -386,7 +391,8 @@ class Taker:
         for attempt in range(1, MAX_ATTEMPTS + 1):
             self._await_bench()
             try:
-                self.bench.rest()
+                with faults_of(f"{self._name}.rest"):
+                    self.bench.rest()
             except BenchFault as error:
                 self.log.note("not at rest", attempt=attempt, fault=error.fault)
                 if attempt == MAX_ATTEMPTS:
@@ -396,18 +402,20 @@ class Taker:
 
     def _read(self, shape: Shape) -> Reading:
         plan, bench = self.plan, self.bench
-        if isinstance(bench, OwnTime):
-            bench.wait(plan.settling)
-        else:
-            time.sleep(plan.settling)
-        reading, n, on = bench.read(plan.samples), bench.layout.n, bench.layout.enabled
-        for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
-            value = getattr(reading, name)
-            if value is not None and value.shape != (n,):
-                raise BenchFault(
-                    f"the bench gives {name} of shape {value.shape} for {n} actuators",
-                    remedy="give one value for each, NaN where it is unknown",
-                )
+        n, on = bench.layout.n, bench.layout.enabled
+        with faults_of(f"{self._name}.read"):
+            if isinstance(bench, OwnTime):
+                bench.wait(plan.settling)
+            else:
+                time.sleep(plan.settling)
+            reading = bench.read(plan.samples)
+            for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
+                value = getattr(reading, name)
+                if value is not None and value.shape != (n,):
+                    raise BenchFault(
+                        f"the bench gives {name} of shape {value.shape} for {n} actuators",
+                        remedy="give one value for each, NaN where it is unknown",
+                    )
         force = float(np.nan_to_num(np.abs(reading.force[on])).max(initial=0.0))
         gap = bench.gap - float(np.nan_to_num(np.abs(reading.position[on])).max(initial=0.0))
         self.progress = replace(
@@ -438,6 +446,11 @@ class Taker:
             before = self._sound[1]
         if reading.counter == self._counter:
             return f"the counter stands still at {reading.counter}: the reading is stale"
+        if self._last is not None and reading.time < self._last:
+            return (
+                f"the reading is of {reading.time:%Y-%m-%d %H:%M:%S}, before the last one of"
+                f" {self._last:%Y-%m-%d %H:%M:%S}: the clock of the bench was set back"
+            )
         for name, values in (("force", reading.force), ("position", reading.position)):
             if (wrong := ~np.isfinite(values[on])).any():
                 return f"the {name} of actuator {layout.id[on][wrong][0]} is NaN"
@@ -481,19 +494,19 @@ class Taker:
         gone, wait, start = "", FIRST_WAIT, time.monotonic()
         while True:
             try:
-                status = self.bench.status()
+                with faults_of(f"{self._name}.status"):
+                    status = self.bench.status()
+                    ready, message, counter = status.ready, status.message, status.counter
             except BenchFault as error:
                 gone = error.fault
             else:
-                if status.ready:
+                if ready:
                     if self._counter is None:
-                        self._counter = status.counter
+                        self._counter = counter
                     return
                 if not gone:
-                    raise BenchFault(
-                        f"the bench takes no commands: {status.message}", remedy="check it"
-                    )
-                gone = status.message
+                    raise BenchFault(f"the bench takes no commands: {message}", remedy="check it")
+                gone = message
             if time.monotonic() - start > MAX_ABSENCE:
                 raise BenchFault(
                     f"the bench did not come back within {MAX_ABSENCE:g} s ({gone})",

@@ -7,21 +7,26 @@ with these four works, without opticalib; `get_temperature()` is called if it ex
 
 from __future__ import annotations
 
-import contextlib
 import datetime
-import importlib
-import os
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
-from truenewton.bench.protocol import BATCHES, Reading, Shape, Status, check_samples, error_of_mean
-from truenewton.errors import BenchFault, UnknownName
+from truenewton.bench.protocol import (
+    BATCHES,
+    Reading,
+    Shape,
+    Status,
+    check_samples,
+    error_of_mean,
+    faults_of,
+    lacking,
+)
+from truenewton.errors import BenchFault
 from truenewton.mirrors.known import Mirror
 
 REST_SAMPLES = 64  # of the position at rest
@@ -91,16 +96,15 @@ class OpticalibMirror:
     """
 
     def __init__(self, device: DeformableMirror, mirror: Mirror, *, settling: float = 0.2) -> None:
-        asked = [name for name in vars(DeformableMirror) if not name.startswith("_")]
-        if lacking := [name for name in asked if not hasattr(device, name)]:
+        self._name = type(device).__name__
+        if missing := lacking(device, DeformableMirror):
             raise BenchFault(
-                f"{type(device).__name__} has no {', '.join(lacking)}",
+                f"{self._name} has no {', '.join(missing)}",
                 remedy="give a mirror after opticalib's protocol, with forces",
             )
         if int(device.n_acts) != mirror.layout.n:
             raise BenchFault(
-                f"{type(device).__name__} has {device.n_acts} actuators, {mirror.name} has"
-                f" {mirror.layout.n}",
+                f"{self._name} has {device.n_acts} actuators, {mirror.name} has {mirror.layout.n}",
                 remedy="give the mirror that it is",
             )
         self.instrument, self.layout, self.gap = mirror.name, mirror.layout, mirror.gap
@@ -141,7 +145,7 @@ class OpticalibMirror:
         if self._last is None or not np.array_equal(both[-1], self._last):
             self._counter += 1
         self._last = both[-1]
-        with self._faults("get_temperature"):
+        with faults_of(f"{self._name}.get_temperature"):
             temperature = float(getattr(self._device, "get_temperature", lambda: np.nan)())
         batches = np.array_split(force, BATCHES) if samples >= BATCHES else []
         return Reading(
@@ -168,7 +172,7 @@ class OpticalibMirror:
         self._set(np.zeros(self.layout.n))
 
     def _set(self, displacement: Array) -> None:
-        with self._faults("set_shape"):
+        with faults_of(f"{self._name}.set_shape"):
             # A copy: some devices add to what they are given. By place: the names differ.
             self._device.set_shape(displacement.copy(), False)
         self._since = time.monotonic()
@@ -178,7 +182,7 @@ class OpticalibMirror:
 
     def _samples(self, get: Callable[[], Any], samples: int) -> Array:
         """Return (samples, ..., n) values of a call."""
-        with self._faults("get_shape or get_force"):
+        with faults_of(f"{self._name}.get_shape or get_force"):
             values = np.array([get() for _ in range(samples)], dtype=float)
         if values.shape[-1] != self.layout.n or not np.isfinite(values).all():
             raise BenchFault(
@@ -186,17 +190,6 @@ class OpticalibMirror:
                 remedy=f"return one finite number for each of the {self.layout.n} actuators",
             )
         return values
-
-    @contextlib.contextmanager
-    def _faults(self, what: str) -> Iterator[None]:
-        """Turn any exception of the object into a fault."""
-        try:
-            yield
-        except Exception as error:
-            raise BenchFault(
-                f"{type(self._device).__name__} fails in {what} ({type(error).__name__}: {error})",
-                remedy="see to the mirror",
-            ) from error
 
 
 def _still(position: Array) -> bool:
@@ -210,34 +203,3 @@ def _still(position: Array) -> bool:
     first, second = position[:half], position[half : 2 * half]
     error = np.sqrt((first.var(axis=0, ddof=1) + second.var(axis=0, ddof=1)) / half)
     return bool((np.abs(second.mean(axis=0) - first.mean(axis=0)) <= DRIFT_SIGMAS * error).all())
-
-
-def from_address(
-    address: str, mirror: Mirror, folder: str | os.PathLike[str] = "."
-) -> OpticalibMirror:
-    """Return a bench around the object that `module:object` names, or that it makes when called.
-
-    The module is installed, or is in the folder of the plan.
-    """
-    module, _, name = address.partition(":")
-    sys.path.insert(0, os.fspath(folder))
-    try:
-        named: Any = importlib.import_module(module)
-        for part in name.split("."):
-            named = getattr(named, part)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise UnknownName(
-            f"there is no mirror '{address}' ({error})",
-            remedy="write bench.address as module:object",
-        ) from error
-    finally:
-        sys.path.remove(os.fspath(folder))
-    if isinstance(named, type) or not hasattr(named, "set_shape"):
-        try:
-            named = named()
-        except Exception as error:
-            raise BenchFault(
-                f"{address} cannot be made ({type(error).__name__}: {error})",
-                remedy="name a mirror, or a function that makes it without arguments",
-            ) from error
-    return OpticalibMirror(named, mirror)

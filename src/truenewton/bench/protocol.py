@@ -1,30 +1,23 @@
-"""The protocol between acquisition and a bench, and which bench a plan names."""
+"""The protocol between acquisition and a bench."""
 
 from __future__ import annotations
 
+import contextlib
 import datetime
-from dataclasses import dataclass, fields
-from typing import ClassVar, Protocol, runtime_checkable
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.errors import BenchFault
+from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.files.content import YEARS
-from truenewton.quantities import Quantity, convert_quantities
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, Load
 
 MAX_SAMPLES = 10**9  # of one reading
 BATCHES = 4  # of a record, for the error of its mean
-# What each kind of bench takes from a plan.
-BENCH_KINDS = {
-    "simulated": ("seed", "force_noise", "fidelity"),
-    "opcua": (
-        "address", "user", "password_file", "certificate", "private_key", "server_certificate",
-    ),
-    "opticalib": ("address",),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +52,7 @@ class Reading:
     Attributes
     ----------
     time
-        When it was taken, UTC.
+        When it was taken; UTC if it has no zone.
     force, position
         (n,) mean commanded force [N] and displacement along +z by the sensors [m].
     force_scatter, position_scatter
@@ -102,8 +95,10 @@ class Reading:
         if getattr(self.time, "year", None) not in YEARS:
             raise BenchFault(
                 f"the time of a reading is {self.time}",
-                remedy="set the clock of the bench; it is UTC, and OPC UA sends 1601 for none",
+                remedy="set the clock of the bench; it is UTC",
             )
+        aware = self.time if self.time.tzinfo else self.time.replace(tzinfo=datetime.UTC)
+        object.__setattr__(self, "time", aware.astimezone(datetime.UTC))
         for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
             value = getattr(self, name)
             try:
@@ -233,44 +228,20 @@ class OwnTime(Protocol):
         """Let simulated time pass."""
 
 
-@dataclass(frozen=True)
-class BenchChoice:
-    """Which bench takes the campaign.
-
-    Attributes
-    ----------
-    kind
-        'simulated', 'opcua' or 'opticalib'.
-    address
-        URL of an OPC UA server, or `module:object` of a mirror after opticalib.
-    seed, force_noise, fidelity
-        Of the simulated bench.
-    user, password_file, certificate, private_key, server_certificate
-        Of an OPC UA server.
-    """
-
-    QUANTITIES: ClassVar = {
-        "seed": Quantity("", 0, np.inf, "give zero or more"),
-        "force_noise": Quantity("N", 0.0, 1e9),
-    }
-
-    kind: str = "simulated"
-    address: str = ""
-    seed: int = 1
-    force_noise: float = 1e-4
-    fidelity: str = "static"
-    user: str = ""
-    password_file: str = ""
-    certificate: str = ""
-    private_key: str = ""
-    server_certificate: str = ""
-
-    def __post_init__(self) -> None:
-        convert_quantities(self)
+def lacking(thing: object, protocol: type) -> list[str]:
+    """Return the names of a protocol that an object lacks."""
+    names = [name for name in vars(protocol) if not name.startswith("_")]
+    return [name for name in names if getattr(thing, name, None) is None]
 
 
-def foreign_keys(choice: BenchChoice) -> list[str]:
-    """Return the settings of a choice that its kind of bench does not use."""
-    own = ("kind", *BENCH_KINDS[choice.kind])
-    given = [each.name for each in fields(choice) if getattr(choice, each.name) != each.default]
-    return [name for name in given if name not in own]
+@contextlib.contextmanager
+def faults_of(what: str, remedy: str = "check the bench") -> Iterator[None]:
+    """Turn any exception of a bench's own code into a `BenchFault` that names it and its cause."""
+    try:
+        yield
+    except TrueNewtonError:
+        raise
+    except Exception as error:
+        raise BenchFault(
+            f"{what} fails ({type(error).__name__}: {error})", remedy=remedy
+        ) from error

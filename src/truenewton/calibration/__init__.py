@@ -2,7 +2,6 @@
 
 methods  from data to a calibration: the method, and its numbers for all actuators
 result   the calibration: alpha, errors, covariance; and the columns of its file
-workers  segments at the same time, in separate processes
 layers   the quantities of each actuator, for maps and tables
 file     a calibration in files: FITS (written by `records.result`), its table, or alpha alone
 figures  alpha with errors (paper, fig. 5), and all figures of a calibration as files

@@ -1,16 +1,18 @@
-"""Figures of a calibration (paper, figs. 5 and 6), and all of them as files."""
+"""Figures of a calibration (paper, figs. 5 and 6), and all of them as files.
+
+Its class is in a module that needs this one, so that it is no type here.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from truenewton.arrays import Array
 from truenewton.calibration.layers import alpha_layer
 from truenewton.estimation.findings.estimate import Scale
 from truenewton.figures.maps import mark_rings, name_rings, numbers_by_ring, plot_layout
@@ -28,22 +30,9 @@ from truenewton.figures.style import (
     styled_axes,
 )
 from truenewton.figures.writing import write_drawn
-from truenewton.records.parts import by_number
-from truenewton.statics.layout import Layout
 
 
-class HasColumns(Protocol):
-    """A calibration, of one body or of several segments."""
-
-    @property
-    def layout(self) -> Layout:
-        """The actuators."""
-
-    def column(self, name: str, /) -> Array:
-        """Return (n,) a quantity of the actuators."""
-
-
-def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
+def plot_actuators(calibration: Any, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
     The bars are three standard uncertainties from the readings (3 E_STAT), as in the paper, unless
@@ -52,10 +41,10 @@ def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     """
     own = ax is None
     with styled_axes(ax, 1.2 if own else 0.75) as ax:
-        layout, every = calibration.layout, calibration.column("alpha")
+        layout, every = calibration.layout, calibration.alpha
         alpha = np.where(every > 0.0, every, np.nan)
         numbers, size = numbers_by_ring(layout), 1.8 if layout.n <= NAMED else 1.0
-        error = 3 * calibration.column("statistical_error")
+        error = 3 * calibration.statistical_error
         points = 0.35 * 72 * COLUMN / (np.nanmax(alpha) - np.nanmin(alpha))  # for one unit of alpha
         if 2 * points * np.nanmax(error) > size:
             width = 0.6 if layout.n < BY_RING else 0.4
@@ -64,8 +53,7 @@ def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
             label = "α"
         else:
             label = "α; bars of ±3 σ_stat would be smaller than the symbols"
-        parts: Mapping[int, Any] = by_number(calibration)
-        if {one.scale for one in parts.values()} == {Scale.MEAN_ONE}:
+        if calibration.scale == Scale.MEAN_ONE:
             label += "; mean α = 1 by convention"
         ax.plot(numbers, alpha, "o", color=ACCENT, markersize=size, label=label)
         mark_rings(ax, layout)
@@ -94,7 +82,7 @@ def plot_actuators(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_errors(calibration: HasColumns, ax: Axes | None = None) -> Axes:
+def plot_errors(calibration: Any, ax: Axes | None = None) -> Axes:
     """Draw the errors of alpha per actuator at one sigma, ring by ring, relative to alpha.
 
     E_SYST from the weights, E_STAT from the readings, and a third of E_CYCLE, which is the paper's
@@ -102,11 +90,11 @@ def plot_errors(calibration: HasColumns, ax: Axes | None = None) -> Axes:
     """
     with styled_axes(ax, 0.6) as ax:
         c, size = calibration, 2.0 if calibration.layout.n <= NAMED else 1.0
-        alpha = np.abs(c.column("alpha"))
+        alpha = np.abs(c.alpha)
         for name, error, mark, colour in (
-            ("σ_scale", c.column("systematic_error"), "_", CURVES[4]),
-            ("σ_cycle = E_CYCLE / 3", c.column("cycle_error") / 3, "s", CURVES[1]),
-            ("σ_stat", c.column("statistical_error"), "o", CURVES[0]),
+            ("σ_scale", c.systematic_error, "_", CURVES[4]),
+            ("σ_cycle = E_CYCLE / 3", c.cycle_error / 3, "s", CURVES[1]),
+            ("σ_stat", c.statistical_error, "o", CURVES[0]),
         ):
             known = error > 0.0  # false of NaN, too
             if known.any():
@@ -124,7 +112,7 @@ def plot_errors(calibration: HasColumns, ax: Axes | None = None) -> Axes:
 
 
 def write_figures(
-    calibration: HasColumns,
+    calibration: Any,
     folder: str | os.PathLike[str],
     *,
     more: Mapping[str, Callable[[], Axes]] | None = None,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import ACTUATORS, CALIBRATION, AnyCalibration, Calibration
+from truenewton.calibration.result import ACTUATORS, CALIBRATION, Calibration
 from truenewton.errors import FormatError, OutputExists, OutputFailed
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.estimate import (
@@ -28,8 +28,7 @@ from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import columns_of, header_of
 from truenewton.files.outputs import file_beside
-from truenewton.records.parts import has_parts
-from truenewton.records.result import KINDS, ResultKind, write
+from truenewton.records.result import FORMATS, write
 
 MAX_NUMBER = 1e30  # in a file
 VARIANCE_TOLERANCE = 1e-3  # relative; rounding to 32 bits allowed
@@ -126,24 +125,7 @@ def _warning(code: str, level: str, fault: str, remedy: str, stored: str) -> Fin
         return Finding(code=Code.OTHER, detail=fault, graded=Level(level), remedy=remedy)
 
 
-CALIBRATIONS = ResultKind(
-    CALIBRATION,
-    calibration_from,
-    "ALPHA",
-    {
-        "VERDICT": str(Level.NONE),
-        "METHOD": "",
-        "SCALE": "",
-        "NSHAPES": 0,
-        "NREJECT": 0,
-        "BIAS": np.nan,
-        "E_BIAS": np.nan,
-        "NOISE": np.nan,
-        "FITCHI2": np.nan,
-        "DOF": 0,
-    },
-)
-KINDS[Calibration] = CALIBRATIONS
+FORMATS[Calibration] = CALIBRATION
 
 WHOLE = (".fits", ".fits.gz")
 LACKS = {  # of the other formats, what they contain and lack
@@ -168,7 +150,7 @@ def suffix_of(path: str | os.PathLike[str]) -> str:
     )
 
 
-def lacking(calibration: AnyCalibration, path: str | os.PathLike[str]) -> str:
+def lacking(calibration: Calibration, path: str | os.PathLike[str]) -> str:
     """Return what a file of that name does not contain of a calibration; '' if it contains all."""
     lacks = LACKS.get(suffix_of(path), "")
     if not lacks:
@@ -181,7 +163,7 @@ def lacking(calibration: AnyCalibration, path: str | os.PathLike[str]) -> str:
 
 @write.register(Calibration)
 def write_calibration(
-    calibration: AnyCalibration, path: str | os.PathLike[str], *, overwrite: bool = False
+    calibration: Calibration, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Write a calibration in the format of the suffix; raise OutputExists or OutputFailed."""
     suffix = suffix_of(path)
@@ -191,23 +173,21 @@ def write_calibration(
     with file_beside(path, overwrite=overwrite) as temporary:
         if suffix == ".npy":
             with temporary.open("wb") as file:
-                np.save(file, calibration.column("alpha"), allow_pickle=False)
+                np.save(file, calibration.alpha, allow_pickle=False)
         else:
             _write_table(calibration, temporary, suffix)
 
 
-def _write_table(calibration: AnyCalibration, path: Path, suffix: str) -> None:
+def _write_table(calibration: Calibration, path: Path, suffix: str) -> None:
     """Write the table with all digits; ECSV also has units, keywords and the verdict's faults."""
     from astropy.table import Column, Table
 
-    kind, several = CALIBRATIONS, has_parts(calibration)
-    form, actuators = (kind.whole, kind.actuators) if several else (kind.form, ACTUATORS)
     table = Table()
-    for name, _, unit, values in columns_of(calibration, actuators):
-        if name not in ("NZ", "ENABLED"):
+    for name, _, unit, values in columns_of(calibration, ACTUATORS):
+        if name != "NZ":
             table[name] = Column(values, unit=unit)
     if suffix == ".ecsv":
-        for name, value, _ in header_of(calibration, form):  # YAML knows plain types alone
+        for name, value, _ in header_of(calibration, CALIBRATION):  # YAML knows plain types alone
             table.meta[name] = str(value) if isinstance(value, str) else np.asarray(value).item()
         faults = calibration.verdict.faults
         table.meta["FAULTS"] = [as_sentences(each) for each in faults]

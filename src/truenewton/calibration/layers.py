@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,29 +13,14 @@ from truenewton.estimation.findings.estimate import Scale
 from truenewton.estimation.paper.identifiability import leverage
 from truenewton.figures.layers import Layer
 from truenewton.figures.style import MILLIMETRE, SIGMA, SIGMA_SCALE, SIGMA_STAT, on_screen
-from truenewton.records.parts import has_parts
 from truenewton.statics.arms import arms_in_units_of_rms
 
 
 def layers_of(c: Any, evidence: Any = None) -> tuple[Layer, ...]:
     """Return the layers of a calibration that have values; of its residuals if there is evidence.
 
-    Both are results of modules that need this one: `Calibration`, or `Parts` of it; `Evidence`.
+    Both are results of modules that need this one: `Calibration` and `Evidence`.
     """
-    return _of_segments(c) if has_parts(c) else _of_one(c, evidence)
-
-
-def plot_layer(c: Any, key: str, ax: Axes | None, **looks: Any) -> Axes:
-    """Draw a layer of a calibration on the screen, see `Calibration.plot`."""
-    layers = {each.key: each for each in layers_of(c)}
-    if key not in layers:
-        remedy = f"choose {', '.join(layers)}"
-        raise UnknownName(f"the calibration has no quantity '{key}'", remedy=remedy)
-    with on_screen():
-        return layers[key].plot(c.layout, ax, **looks)
-
-
-def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
     scale_error = np.full(c.layout.n, np.nan) if c.scale == Scale.MEAN_ONE else c.systematic_error
     layers = [
         alpha_layer(c, "alpha", "alpha"),
@@ -80,29 +64,23 @@ def _of_one(c: Any, evidence: Any) -> tuple[Layer, ...]:
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
 
-def _of_segments(c: Any) -> tuple[Layer, ...]:
-    """Return the layers of all segments, NaN if a segment has none."""
-    whole = {"alpha": alpha_layer(c, "alpha", "alpha")}
-    for number, one in c.found.items():
-        own = c.of(number)
-        for layer in _of_one(one, None)[1:]:
-            if layer.key not in whole:
-                values, errors = np.full((2, c.layout.n), np.nan)
-                known = None if layer.errors is None else errors
-                whole[layer.key] = replace(layer, values=values, errors=known)
-            whole[layer.key].values[own] = layer.values
-            if (errors_of_all := whole[layer.key].errors) is not None:
-                errors_of_all[own] = layer.errors
-    return tuple(whole.values())
+def plot_layer(c: Any, key: str, ax: Axes | None, **looks: Any) -> Axes:
+    """Draw a layer of a calibration on the screen, see `Calibration.plot`."""
+    layers = {each.key: each for each in layers_of(c)}
+    if key not in layers:
+        remedy = f"choose {', '.join(layers)}"
+        raise UnknownName(f"the calibration has no quantity '{key}'", remedy=remedy)
+    with on_screen():
+        return layers[key].plot(c.layout, ax, **looks)
 
 
 def alpha_layer(calibration: Any, key: str, name: str) -> Layer:
     """Return alpha, rounded to its total error."""
-    alpha = calibration.column("alpha")
+    alpha = calibration.alpha
     return Layer(key, name, "true N / commanded N", alpha,
                  "True Newton per commanded Newton, with its total error (E_ALPHA).",
-                 calibration.column("error"), float(np.nanmean(alpha)),
-                 calibration.column("statistical_error"))  # fmt: skip
+                 calibration.error, float(np.nanmean(alpha)),
+                 calibration.statistical_error)  # fmt: skip
 
 
 def _sensor_layers(c: Any) -> list[Layer]:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread, spread_covariance
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.calibration.workers import executor_for
 from truenewton.errors import (
     Fault,
     NotConverged,
@@ -49,15 +48,11 @@ from truenewton.linalg import threads
 from truenewton.progress import kept_as, report_progress
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Cycle, Source
-from truenewton.records.parts import Parts, has_parts
 from truenewton.records.reader import AnyPath, Measured, measured_from
-from truenewton.records.segmented import SegmentedData, segment_couplings
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import percent
 from truenewton.statics.layout import Layout
 
-Data = Measured
-Seen = Array | Mapping[int, Array]  # by the sensors of all segments, or of each by its number
 Imbalances = tuple[matrix_modes.Imbalance, ...]
 
 
@@ -171,38 +166,21 @@ METHODS = {
 }
 
 
-@overload
 def calibrate(
-    data: Campaign | StiffnessMatrix, method: str | None = None, *, population: bool = False,
-    motion: Array | None = None, exclude: Collection[int | str] = (), processes: int | None = None,
-) -> Calibration: ...  # fmt: skip
-@overload
-def calibrate(
-    data: SegmentedData, method: str | None = None, *, population: bool = False,
-    motion: Seen | None = None, exclude: Collection[int | str] = (), processes: int | None = None,
-) -> Parts[Calibration]: ...  # fmt: skip
-@overload
-def calibrate(
-    data: Data | AnyPath | Iterable[AnyPath | Cycle], method: str | None = None, *,
-    population: bool = False, motion: Seen | None = None, exclude: Collection[int | str] = (),
-    processes: int | None = None,
-) -> AnyCalibration: ...  # fmt: skip
-def calibrate(
-    data: Data | AnyPath | Iterable[AnyPath | Cycle],
+    data: Measured | AnyPath | Iterable[AnyPath | Cycle],
     method: str | None = None,
     *,
     population: bool = False,
-    motion: Seen | None = None,
+    motion: Array | None = None,
     exclude: Collection[int | str] = (),
-    processes: int | None = None,
-) -> AnyCalibration:
+) -> Calibration:
     """Find alpha of every actuator.
 
     Parameters
     ----------
     data
         A campaign under at least two loads, or a measured stiffness matrix (relative alpha), or a
-        path, paths or cycles. Each segment of a segmented mirror is calibrated by itself.
+        path, paths or cycles. Read data of several segments one at a time.
     method
         'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which uses the
         readings of the sensors; 'auto', reciprocity if it is accepted, otherwise
@@ -213,19 +191,18 @@ def calibrate(
         determined patterns toward the mean. With 'ml' only; the result names it.
     motion
         (6, n, n) what the sensors read of the glass, from `sensor_model`; or (n, n)
-        displacements at the forces for those at the sensors; for several segments
-        also {number: that of each}. With 'reciprocity' and 'auto' only.
+        displacements at the forces for those at the sensors. With 'reciprocity' and 'auto'
+        only.
     exclude
         IDs of actuators without alpha, such as channels that are known to be bad. Those of a matrix
         are released: the others are taken in states in which these exert no force.
-    processes
-        Number of segments calibrated at once, each in its own process; by default the
-        number of processors, or one if segments are small.
 
     Raises
     ------
     RankDeficient
-        The data cannot determine alpha, of no segment; the message says what is missing.
+        The data cannot determine alpha; the message says what is missing.
+    SeveralSegments
+        The data are of several segments.
     TooManyOutliers, NotConverged
         The data do not fit together.
     UnknownName, TypeError
@@ -244,11 +221,6 @@ def calibrate(
     data = measured_from(data)
     method, options = resolve_method(data, method, population=population, motion=motion)
     ids = sorted(set(data.layout.ids_of(exclude)))
-    if has_parts(data):
-        one = partial(calibrate, method=method, population=population)
-        of_all = _of_segments(data, one, motion, ids, processes)
-        warn_of(of_all)
-        return of_all
     left = disabled(data, ids)
     if isinstance(left, Campaign):
         estimate = METHODS[method].of_cycles(screen_campaign(left), options)
@@ -276,43 +248,12 @@ def _of_matrix(
     return made_of(found)
 
 
-def _of_segments(
-    data: SegmentedData,
-    solve: Callable[..., Calibration],
-    motion: Seen | None,
-    excluded: Sequence[int],
-    processes: int | None,
-) -> Parts[Calibration]:
-    """Calibrate each segment by itself, with a warning if its stiffness is coupled to others."""
-
-    def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], Calibration]:
-        seen = seen_of(motion, data.layout, number)
-        return partial(solve, motion=seen, exclude=data.own(number, excluded))
-
-    made = data.solved(solver, "alpha", executor_for(data.layout, processes))
-    found = dict(made.found)
-    couplings = {} if data.stiffness is None else segment_couplings(data.stiffness)
-    for number, (size, own) in couplings.items():
-        if number in found:
-            coupled = Finding.of(Code.SEGMENTS_COUPLED, size=size, own=own)
-            found[number] = found[number].with_warnings([coupled])
-    return replace(made, found=found)
-
-
-def seen_of(motion: Seen | None, layout: Layout, number: int) -> Array | None:
-    """Return what the sensors of one segment see, (6, k, k) or (k, k) of its k actuators."""
-    if motion is None or isinstance(motion, Mapping):
-        return None if motion is None else motion[number]
-    own = np.asarray(layout.segment) == number
-    return np.asarray(motion[..., own, :][..., own])
-
-
 def resolve_method(
-    data: Data,
+    data: Measured,
     method: str | None,
     *,
     population: bool,
-    motion: Seen | None,
+    motion: Array | None,
 ) -> tuple[str, Options]:
     """Return the method, by default chosen by the data, and its options, as of `calibrate`.
 
@@ -322,8 +263,7 @@ def resolve_method(
     if method is None:
         tried = isinstance(data, StiffnessMatrix) or motion is not None
         method = "auto" if tried and not population else "ml"
-    both = not isinstance(data, StiffnessMatrix) and data.cycles and data.stiffness
-    by_segment = isinstance(motion, Mapping)
+    both = isinstance(data, Campaign) and data.stiffness is not None
     for wrong, fault, remedy in (
         (method not in METHODS, f"there is no method '{method}'", f"choose {', '.join(METHODS)}"),
         (population and method not in ("ml", "svd"), "a population goes with ml only", "use ml"),
@@ -337,16 +277,10 @@ def resolve_method(
             f"{method} does not use what the sensors read of the glass",
             "leave the mirror out, or use reciprocity or auto",
         ),
-        (
-            by_segment and not has_parts(data),
-            "motion is given by segment, and the data are of a mirror in one piece",
-            "give the (6, n, n) or (n, n) motion of that mirror",
-        ),
     ):
         if wrong:
             raise UnknownName(fault, remedy=remedy)
-    # Each segment is calibrated by a call of its own, with its own motion.
-    return method, Options(population, None if isinstance(motion, Mapping) else motion)
+    return method, Options(population, motion)
 
 
 def estimate_alpha(screened: ScreenedCampaign, method: str, options: Options) -> Estimate:
@@ -366,6 +300,7 @@ def refusals(error: TrueNewtonError, screened: ScreenedCampaign | None) -> tuple
 def calibration_of(campaign: Campaign, estimate: Estimate) -> Calibration:
     """Return an estimate as a calibration, with E_CYCLE."""
     layout, cycles, on = campaign.layout, campaign.cycles, campaign.layout.enabled
+    estimate = estimate.with_warnings(doubts_of_coupling(campaign.stiffness))
     unknowns = Unknowns(int(on.sum()), len(campaign.loads))
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
     lost = [sum(row.cycle == k for row in estimate.rejected_rows) for k in range(len(cycles))]
@@ -397,6 +332,14 @@ def calibration_of(campaign: Campaign, estimate: Estimate) -> Calibration:
     )
 
 
+def doubts_of_coupling(matrix: StiffnessMatrix | None) -> tuple[Finding, ...]:
+    """Return that a segment is coupled to others, so that it does not balance by itself."""
+    if matrix is None or matrix.coupling is None:
+        return ()
+    size, own = matrix.coupling
+    return (Finding.of(Code.SEGMENTS_COUPLED, size=size, own=own),)
+
+
 def _of_stiffness(
     screened: ScreenedMatrix, estimate: Estimate, imbalances: Imbalances
 ) -> Calibration:
@@ -410,7 +353,8 @@ def _of_stiffness(
     of_balance, covariance = doubts_of_balance(facts, alpha, covariance, ids)
     symmetry = symmetry_of(facts, alpha, gain)
     of_symmetry = doubts_of(facts.stiffness, alpha, symmetry)
-    estimate = estimate.with_warnings((*of_symmetry, *of_balance))
+    of_coupling = doubts_of_coupling(matrix)
+    estimate = estimate.with_warnings((*of_symmetry, *of_balance, *of_coupling))
     # B is not to be had from elastic forces.
     reading, systematic = (
         np.pad(each, (0, 1), constant_values=np.nan)
@@ -466,7 +410,7 @@ def _numbers_of(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def disabled(data: Campaign | StiffnessMatrix, ids: Sequence[int]) -> Campaign | StiffnessMatrix:
+def disabled(data: Measured, ids: Sequence[int]) -> Measured:
     """Return data in which excluded actuators are disabled, if the balance allows that.
 
     Those of a matrix are released (`matrix.screen.released`). One of a campaign is disabled if its

@@ -32,7 +32,6 @@ from truenewton.files.format import (
 )
 from truenewton.records.cycle import Source
 from truenewton.records.file import ID, INSTRUMENT, NUMBER, NZ, SOURCES, X, Y
-from truenewton.records.parts import Parts
 from truenewton.records.result import Result, verdict_of
 from truenewton.rounding import counted, percent
 from truenewton.statics.layout import Layout
@@ -226,10 +225,6 @@ class Calibration(Result, EstimateFacts):
         variances = np.diag(self.covariance)[unknowns.torques]
         return np.asarray(np.sqrt(variances).reshape(-1, 2))
 
-    def column(self, name: str) -> Array:
-        """Return (n,) a quantity of the actuators by its name, as `Parts.column` does."""
-        return np.asarray(getattr(self, name))
-
     def of_sensors(self, name: str) -> Array:
         """Return (n,) an attribute of the sensors, as 'gain'; NaN of those that are not fitted."""
         fitted = {s.actuator: getattr(s, name) for s in self.sensors if s.state == "fitted"}
@@ -340,9 +335,6 @@ class Calibration(Result, EstimateFacts):
         return plot_layer(self, layer, ax, cmap=cmap, vmin=vmin, vmax=vmax, annotate=annotate)
 
 
-AnyCalibration = Calibration | Parts[Calibration]
-
-
 def _optional(name: str, of: str, *columns: Column) -> TableFormat:
     """Return a table of the records ``of`` a calibration that a file may lack."""
     return TableFormat(name, columns, of, optional=True)
@@ -400,7 +392,7 @@ CALIBRATION = FileFormat(
             "ASYMGAIN", "matrix_facts.asymmetry_with_gains", "and with sensor gains", absent=np.nan
         ),
         Keyword("UNIQUE", "diagnosis.separation", "second singular value / first", absent=np.nan),
-        Keyword("VERDICT", lambda c: str(c.verdict.level), "of all in this file", kind="str"),
+        Keyword("VERDICT", lambda c: str(c.verdict.level), "on this calibration", kind="str"),
     ),
     (
         ACTUATORS,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import starmap
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.calibration.result import ACTUATORS, AnyCalibration, Calibration
+from truenewton.calibration.result import ACTUATORS, Calibration
 from truenewton.calibration.verdict import NO_ERROR, rejected_sentence
 from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
@@ -22,13 +21,11 @@ from truenewton.estimation.findings.estimate import (
     scale_budget,
     typical,
 )
-from truenewton.estimation.findings.finding import Finding, Verdict, as_sentences, no_alpha
+from truenewton.estimation.findings.finding import Finding, Verdict, as_sentences
 from truenewton.files.format import attributes
 from truenewton.files.values import Columns, Values
 from truenewton.records.campaign import Campaign
-from truenewton.records.parts import Parts, has_parts
-from truenewton.records.result import KINDS, Summary, summary_of
-from truenewton.records.segmented import SegmentedData
+from truenewton.records.result import Summary, summary_of
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, percent, row, to_digits, with_error
 
@@ -48,12 +45,12 @@ NOISE_FROM = {
 }
 
 
-def summary_lines(calibration: AnyCalibration, changes: Iterable[str] = ()) -> Iterator[str]:
+def summary_lines(calibration: Calibration, changes: Iterable[str] = ()) -> Iterator[str]:
     """Yield what was found, how certain it is, the lines of what changed, and what limits it."""
     c = calibration
     yield headline(c)
-    yield from starmap(row, _of_parts(c) if has_parts(c) else _results(c))
-    if not has_parts(c) and c.unseen:
+    yield from starmap(row, _results(c))
+    if c.unseen:
         yield "  undetectable here, not in E_ALPHA:"
         yield from (f"    {percent(each.relative):<7} if {each.name}" for each in c.unseen)
     yield from changes
@@ -61,12 +58,10 @@ def summary_lines(calibration: AnyCalibration, changes: Iterable[str] = ()) -> I
 
 
 def detail_lines(
-    calibration: AnyCalibration, data: Campaign | StiffnessMatrix | SegmentedData | None = None
+    calibration: Calibration, data: Campaign | StiffnessMatrix | None = None
 ) -> Iterator[str]:
-    """Yield the other numbers of a calibration of one body, and the rows of its data left out."""
+    """Yield the other numbers of a calibration, and the rows of its data left out."""
     c = calibration
-    if has_parts(c):
-        return
     yield from starmap(row, _details(c))
     if c.imbalances:
         yield "  rms imbalance of elastic modes, force and torques, per unit of force:"
@@ -126,32 +121,17 @@ VALUES = Values(
 )  # fmt: skip
 
 
-def summary_values(calibration: AnyCalibration) -> dict[str, Any]:
+def summary_values(calibration: Calibration) -> dict[str, Any]:
     """Return the same figures for a script."""
-    c = calibration
-    if not has_parts(c):
-        return dict(VALUES.of(c))
-    actuators = Columns(KINDS[Calibration].actuators, "id", "segment", *COLUMNS).of(c)
-    segments = c.values(summary_values, lambda faults: {"verdict": no_alpha(faults)})
-    return {
-        "instrument": c.instrument, "date": _first_date(c), "verdict": c.verdict,
-        "actuators": actuators, "segments": segments,
-    }  # fmt: skip
+    return dict(VALUES.of(calibration))
 
 
-def _first_date(c: Parts[Calibration]) -> datetime.datetime:
-    return min(one.date for one in c.found.values())
-
-
-def headline(calibration: AnyCalibration) -> str:
+def headline(calibration: Calibration) -> str:
     """Return what was calibrated, from how much."""
     c, on = calibration, calibration.layout.enabled
-    text = f"{c.instrument}, {_first_date(c) if has_parts(c) else c.date:%Y-%m-%d}:"
+    text = f"{c.instrument}, {c.date:%Y-%m-%d}:"
     text += f" {counted(int(on.sum()), 'actuator')}"
     text += f" ({(~on).sum()} disabled)" if not on.all() else ""
-    if has_parts(c):
-        failed = f", {len(c.failed)} without alpha" if c.failed else ""
-        return f"{text} of {counted(c.numbers, 'segment')}{failed}"
     if c.loads:
         text += f", {counted(c.shapes_used, 'row')} under {counted(c.loads, 'load')}"
     else:
@@ -161,18 +141,15 @@ def headline(calibration: AnyCalibration) -> str:
 
 
 @summary_of.register(Calibration)
-def _summary(calibration: AnyCalibration) -> Summary:
+def _summary(calibration: Calibration) -> Summary:
     verdict = calibration.verdict
     rows = [*summary_rows(calibration), ("verdict", str(verdict.level), "")]
     return Summary(headline(calibration), rows, warning_lines(verdict.faults))
 
 
-def summary_rows(calibration: AnyCalibration) -> Iterator[Row]:
+def summary_rows(calibration: Calibration) -> Iterator[Row]:
     """Yield name, value and note of each result, its uncertainty, and what limits it."""
     c = calibration
-    if has_parts(c):
-        yield from _of_parts(c)
-        return
     yield from _results(c)
     if c.unseen:
         yield "undetectable here", "", "not in E_ALPHA"
@@ -264,19 +241,6 @@ def _range_of_alpha(c: Calibration) -> tuple[str, NDArray[np.str_]]:
     """Return the smallest and the largest alpha with their digits, and (2,) their names."""
     ends = [int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))]
     return " .. ".join(map(to_digits, c.alpha[ends], c.error[ends])), c.layout.shown[ends]
-
-
-def _of_parts(c: Parts[Calibration]) -> Iterator[Row]:
-    """Yield the range of alpha, level, error and B of each segment."""
-    for number in c.numbers:
-        if number in c.failed:
-            yield f"segment {number}", str(Level.NONE), c.failed[number][0].fault
-            continue
-        one = c.found[number]
-        note = f"{one.verdict.level}; error {percent(typical(one.error, one.alpha))}"
-        if one.loads:
-            note += f", B = {with_error(one.bias_force, one.bias_force_error)} N"
-        yield f"segment {number}", f"alpha {_range_of_alpha(one)[0]}", note
 
 
 def _symmetry(c: Calibration) -> Iterator[Row]:

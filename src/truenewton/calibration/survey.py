@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from truenewton.arrays import Array
 from truenewton.calibration.methods import (
     Options,
-    Seen,
     calibrate,
     calibration_of,
+    doubts_of_coupling,
     estimate_alpha,
     refusals,
     resolve_method,
-    seen_of,
 )
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.result import Calibration
 from truenewton.calibration.summary import (
     rejected_lines,
     rejected_values,
@@ -27,14 +27,7 @@ from truenewton.calibration.summary import (
     verdict_lines,
     warning_lines,
 )
-from truenewton.errors import (
-    Fault,
-    FormatError,
-    GeometryError,
-    NotConverged,
-    RankDeficient,
-    TooManyOutliers,
-)
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Diagnosis, RejectedRow, Scale
 from truenewton.estimation.findings.finding import Verdict, as_sentences, judged, no_alpha
@@ -43,34 +36,26 @@ from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.files.format import attributes
-from truenewton.progress import with_progress
 from truenewton.records.campaign import Campaign
-from truenewton.records.parts import Parts
-from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, percent, row, with_error
 
 
 def survey(
-    data: Campaign | StiffnessMatrix | SegmentedData | AnyCalibration,
+    data: Campaign | StiffnessMatrix | Calibration,
     method: str | None = None,
     *,
     population: bool = False,
-    motion: Seen | None = None,
+    motion: Array | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the contents of data, or of a calibration, as values for JSON and as lines of text.
 
     ``method``, ``population`` and ``motion``, (6, n, n), are those of `calibrate`. Unless one of
     them is given, a matrix is described and screened, but no alpha is fitted, which takes long.
     """
-    if isinstance(data, Calibration | Parts):
-        holds, what = "segmented calibration", "a calibration of several segments"
-        if isinstance(data, Calibration):
-            scale = f"common scale {Scale(data.scale).origin}"
-            holds, what = "calibration", f"a calibration, method {data.method}, {scale}"
-        return {"holds": holds, **summary_values(data)}, [what, *summary_lines(data)]
-    if isinstance(data, SegmentedData):
-        return _survey_segments(data, method, population, motion)
+    if isinstance(data, Calibration):
+        what = f"a calibration, method {data.method}, common scale {Scale(data.scale).origin}"
+        return {"holds": "calibration", **summary_values(data)}, [what, *summary_lines(data)]
     screened_only = isinstance(data, StiffnessMatrix) and not (method or population)
     screened_only = screened_only and motion is None
     method, options = resolve_method(data, method, population=population, motion=motion)
@@ -107,34 +92,6 @@ def survey(
         lines.append(row("alpha", "determined by the data", note))
         lines += verdict_lines(verdict)
     return values, lines
-
-
-def _survey_segments(
-    data: SegmentedData, method: str | None, population: bool, motion: Seen | None
-) -> tuple[dict[str, Any], list[str]]:
-    """Return the contents of data of several segments, each by itself."""
-    parts, lines = [], [f"data of {data.instrument}: {counted(data.numbers, 'segment')}"]
-    good = 0
-    for number in with_progress(data.numbers, len(data.numbers), "segments"):
-        of_it = seen_of(motion, data.layout, number)
-        try:
-            body = data.part(number)
-            values, told = survey(body, method, population=population, motion=of_it)
-        except (FormatError, GeometryError) as error:
-            fault = Fault(error.fault, error.remedy)
-            verdict = no_alpha([fault])
-            values = {"verdict": verdict}
-            told = [f"segment {number}", f"  alpha is not determined: {as_sentences(fault)}"]
-        good += not values["verdict"] or values["verdict"].level >= Level.DOUBTFUL
-        parts.append({"segment": number, **values})
-        lines += told
-    lines[0] += f" of {counted(data.layout.n, 'actuator')}, alpha is determined for {good}"
-    return {
-        "holds": "segments",
-        "instrument": data.instrument,
-        "actuators": data.layout.n,
-        "segments": parts,
-    }, lines
 
 
 def _survey_campaign(
@@ -226,7 +183,12 @@ def _survey_stiffness(
     try:
         if solve is None:
             screened = screen_matrix(matrix)
-            return values, lines, Diagnosis(), judged((*screened.effects, *screened.warnings))
+            return (
+                values,
+                lines,
+                Diagnosis(),
+                judged((*screened.effects, *screened.warnings, *doubts_of_coupling(matrix))),
+            )
         made = solve()
         return values, lines, made.diagnosis, made.verdict
     except (RankDeficient, NotConverged) as error:

@@ -8,15 +8,14 @@ follow here from the numbers of the result. The level is that of the worst findi
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Hashable, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import AnyCalibration, Calibration
-from truenewton.errors import Fault, NotToBeUsed, TrueNewtonWarning
+from truenewton.calibration.result import Calibration
+from truenewton.errors import NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.checks import MAX_ALPHA_SIGMAS
 from truenewton.estimation.findings.code import LIMITS, Code, Concern, Level
 from truenewton.estimation.findings.estimate import (
@@ -30,13 +29,12 @@ from truenewton.estimation.findings.estimate import (
     tilt_as_load,
     typical,
 )
-from truenewton.estimation.findings.finding import Finding, Verdict, judged, no_alpha
+from truenewton.estimation.findings.finding import Finding, Verdict, judged
 from truenewton.estimation.paper.identifiability import (
     NO_LOAD_SEEN,
     SIMILAR_LOADS_FRACTION,
     similar_loads,
 )
-from truenewton.records.parts import Parts
 from truenewton.records.result import verdict_of
 from truenewton.records.tables import size_doubt
 from truenewton.rounding import percent, significant, with_error
@@ -53,45 +51,9 @@ MATRIX_REMEDY = (
 
 
 @verdict_of.register(Calibration)
-def verdict_on(calibration: AnyCalibration) -> Verdict:
-    """Judge a calibration by what its file holds of it; of several segments all together."""
-    if isinstance(calibration, Parts):
-        return verdict_on_parts(calibration)
+def verdict_on(calibration: Calibration) -> Verdict:
+    """Judge a calibration by what its file holds of it."""
     return judged([*_rejecting(calibration), *_of_data(calibration), *_of_result(calibration)])
-
-
-def verdict_on_parts(c: Parts[Any]) -> Verdict:
-    """Judge a segmented mirror by its best segment; each finding names its segments."""
-    of_each = {number: one.verdict for number, one in c.found.items()}
-    of_each |= {number: no_alpha(faults) for number, faults in c.failed.items()}
-    every = [(n, each) for n, one in sorted(of_each.items()) for each in one.faults]
-    whole = judged(list(_of_segments(every)))
-    levels = [one.level for one in of_each.values()]
-    return replace(whole, level=min(max(levels), Level.USABLE) if every else Level.SOUND)
-
-
-def _of_segments(every: Iterable[tuple[int, Finding]]) -> Iterator[Finding]:
-    """Yield findings of segments, those that differ in numbers alone together."""
-    groups: dict[Hashable, list[tuple[int, Finding]]] = {}
-    for number, one in every:
-        groups.setdefault(_without_numbers(one), []).append((number, one))
-    for group in groups.values():
-        first, differ = group[0], any(one != group[0][1] for _, one in group)
-        yield Finding.of(
-            Code.OF_SEGMENTS,
-            cause=first[1],
-            segments=sorted({number for number, _ in group}),
-            as_of=f" (numbers of segment {first[0]})" if differ else "",
-        )
-
-
-def _without_numbers(one: Finding | None) -> Hashable:
-    """Return what a finding is, but for the numbers in it."""
-    if one is None:
-        return None
-    words = tuple(value for value in one.values.values() if isinstance(value, str))
-    about = (one.code, one.detail, one.where, one.actuators, one.corrected, one.level)
-    return *about, words, _without_numbers(one.cause)
 
 
 def refusal_of(level: Level, fault: str, remedy: str, path: object = None) -> NotToBeUsed:
@@ -101,7 +63,7 @@ def refusal_of(level: Level, fault: str, remedy: str, path: object = None) -> No
 
 
 def refuse_unusable(
-    calibration: AnyCalibration, *, accept_rejected: bool, path: object = None
+    calibration: Calibration, *, accept_rejected: bool, path: object = None
 ) -> None:
     """Raise `NotToBeUsed` if a calibration is rejected, unless forced."""
     verdict = calibration.verdict
@@ -110,40 +72,7 @@ def refuse_unusable(
         raise refusal_of(verdict.level, first.fault, first.remedy, path)
 
 
-def without_unusable(c: Parts[Calibration]) -> Parts[Calibration]:
-    """Return it without the segments whose verdict is 'rejected'; itself if they all are."""
-    kept, failed = {}, dict(c.failed)
-    for number, one in c.found.items():
-        if one.verdict.level > Level.REJECTED:
-            kept[number] = one
-        else:
-            first, *others = [Fault(each.fault, each.remedy) for each in one.verdict.faults]
-            failed[number] = (Fault(f"{Level.REJECTED}: {first.fault}", first.remedy), *others)
-    return replace(c, found=kept, failed=failed) if kept else c
-
-
-def usable(
-    calibration: AnyCalibration, *, accept_rejected: bool, path: object = None
-) -> AnyCalibration:
-    """Return a calibration; of several segments those whose verdict is not 'rejected'.
-
-    Raises NotToBeUsed if all of it is rejected, unless forced. The ``path`` of its file is named as
-    the reason why a segment has no alpha.
-    """
-    refuse_unusable(calibration, accept_rejected=accept_rejected, path=path)
-    if not isinstance(calibration, Parts):
-        return calibration
-    kept = calibration if accept_rejected else without_unusable(calibration)
-    if path is not None:
-        lacking = {}
-        for number, ((fault, remedy), *_) in kept.failed.items():
-            anyway = f"; {REGARDLESS}" if number in calibration.found else ""
-            lacking[number] = (Fault(f"{path} gives no alpha: {fault}", remedy + anyway),)
-        kept = replace(kept, failed=lacking)
-    return kept
-
-
-def warn_of(calibration: AnyCalibration, stacklevel: int = 3) -> None:
+def warn_of(calibration: Calibration, stacklevel: int = 3) -> None:
     """Issue a TrueNewtonWarning if a calibration is doubtful or rejected."""
     verdict = calibration.verdict
     if any(each.level <= Level.DOUBTFUL for each in verdict.findings):
@@ -295,7 +224,7 @@ def _graver(c: Calibration, about: Collection[Concern]) -> Iterator[Finding]:
 # -- the common scale: its unit, the weights, and their errors ------------------------------------
 
 NO_ERROR = 1e-6  # of the common scale; no weight is known better
-MIN_WEIGHING_ERROR = 1.5e-4  # of a weight: the buoyancy of air, 1.2 kg/m^3, on steel, 8000 kg/m^3
+MIN_WEIGHING_ERROR = 1.5e-5  # of a weight: a tenth of the buoyancy of air on steel
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 OTHER_SCALE_REMEDIES = {  # of errors that neither a better balance nor a better angle lowers
     ErrorKind.COIL_SHIFT: "measure how far the coils move as the mirror leans (COILZ and E_COILZ)",
@@ -383,8 +312,8 @@ def _weights_without_errors(c: Calibration, error: float) -> Iterator[Finding]:
     least = {load.name: MIN_WEIGHING_ERROR * abs(load.added) for load in c.loads}
     exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
     small = [
-        f"E_ADDED of '{load.name}' is {1e3 * load.added_error:.2g} mN, less than the buoyancy of"
-        f" air ({1e3 * least[load.name]:.2g} mN)"
+        f"E_ADDED of '{load.name}' is {1e3 * load.added_error:.2g} mN, less than a tenth of"
+        f" the buoyancy of air ({1e3 * least[load.name]:.2g} mN)"
         for load in c.loads
         if 0.0 < load.added_error < least[load.name]
     ]

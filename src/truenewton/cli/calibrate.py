@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import shlex
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
-from truenewton.cli.terminal import about, busy, print_result, schema_of
+from truenewton.cli.terminal import about, busy, print_result
 from truenewton.errors import FormatError
 from truenewton.files.outputs import atomic_outputs, refuse_existing
-
-if TYPE_CHECKING:
-    from truenewton.calibration.result import AnyCalibration
 
 
 def run_info(
@@ -30,40 +25,37 @@ def run_info(
     quiet: bool = options.QUIET,
 ) -> None:
     """Print what files contain, and whether alpha can be calibrated from them."""
+    from truenewton.calibration.result import Calibration
     from truenewton.calibration.summary import detail_lines
     from truenewton.calibration.survey import survey
     from truenewton.files.fits import read_fits
-    from truenewton.reading import holds_alpha, read_chosen
+    from truenewton.reading import read
 
     if len(paths) == 1 and paths[0].is_file():
         file = read_fits(paths[0])
         if {"TRACKING", "LAW"}.intersection(file.extensions):
-            _print_law(paths[0], segment, json=json, quiet=quiet, verbose=verbose)
+            _print_law(paths[0], json=json, quiet=quiet, verbose=verbose)
             return
     with busy("reading and trying to calibrate"):
-        data = read_chosen(*paths, segment=segment)
+        data = read(*paths, segment=segment)
         motion = options.motion_of(mirror, data)
         values, lines = survey(data, method, population=population, motion=motion)
-        details = detail_lines(data) if holds_alpha(data) else ()
+        details = detail_lines(data) if isinstance(data, Calibration) else ()
     print_result(
         lines, details=details, values=values, schema="info",
         json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip
 
 
-def _print_law(path: Path, segment: int | None, *, json: bool, quiet: bool, verbose: bool) -> None:
+def _print_law(path: Path, *, json: bool, quiet: bool, verbose: bool) -> None:
     """Print the law in a tracking file, as `track` does."""
-    from truenewton.files.fits import read_fits
-    from truenewton.reading import select_segment
-    from truenewton.records.parts import body_or_parts_from
-    from truenewton.tracking.law import TRACKINGS
+    from truenewton.tracking.law import read_tracking
     from truenewton.tracking.summary import lines, table_of, values
 
-    law = body_or_parts_from(read_fits(path), TRACKINGS)
-    law = law if segment is None else select_segment(law, segment, path)
+    law = read_tracking(path)
     print_result(
-        lines(law, None), details=table_of(law), values=values(law, None),
-        schema=schema_of("track", law), json=json, quiet=quiet, verbose=verbose,
+        lines(law, None), details=table_of(law), values=values(law, None), schema="track",
+        json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip
 
 
@@ -77,11 +69,6 @@ def run_calibrate(
     mirror: str | None = options.MIRROR_MODEL,
     exclude: str | None = options.EXCLUDE,
     segment: int | None = options.SEGMENT,
-    processes: int | None = typer.Option(
-        None,
-        min=1,
-        help="Segments calibrated in parallel; by default one per processor.",
-    ),
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
@@ -92,10 +79,9 @@ def run_calibrate(
     from truenewton.calibration.file import lacking, suffix_of
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.summary import detail_lines, summary_lines, summary_values
-    from truenewton.calibration.verdict import usable
+    from truenewton.calibration.verdict import refuse_unusable
     from truenewton.reading import read_data
     from truenewton.records.file import SUFFIXES
-    from truenewton.records.parts import has_parts
     from truenewton.records.stiffness_matrix import StiffnessMatrix
 
     if output is not None:
@@ -108,24 +94,24 @@ def run_calibrate(
         with busy("calibrating", keeping=True) as waiting:
             motion = options.motion_of(mirror, data)
             work = partial(
-                calibrate, data, method, population=population, motion=motion, exclude=out,
-                processes=processes,
-            )  # fmt: skip
-            found: AnyCalibration = waiting.end_of(work)
-        found = usable(found, accept_rejected=anyway)
+                calibrate, data, method, population=population, motion=motion, exclude=out
+            )
+            found = waiting.end_of(work)
+        refuse_unusable(found, accept_rejected=anyway)
     lines, then = [*summary_lines(found)], ""
     if output is not None:
         found.write(output, overwrite=overwrite)
         lines += filter(None, [lacking(found, output)])
-        of_data = [*map(str, paths), "--calibration"] if not has_parts(found) else []
         if output.name.lower().endswith(SUFFIXES):  # other formats have no report
-            then = shlex.join(["truenewton", "report", *of_data, str(output), "-o", "report.html"])
+            chosen = [] if segment is None else ["--segment", str(segment)]
+            words = ["report", *map(str, paths), *chosen, "--calibration", str(output)]
+            then = shlex.join(["truenewton", *words, "-o", "report.html"])
             if isinstance(data, StiffnessMatrix) and data.layout.has_channels:
                 export = f"truenewton export FOLDER --calibration {shlex.quote(str(output))}"
                 lines.append(f"  afterwards, with the supervisor's folder: {export} -o NEW-FOLDER")
     print_result(
         lines, output, details=detail_lines(found, data), values=summary_values(found),
-        schema=schema_of("calibrate", found), json=json, quiet=quiet, verbose=verbose, then=then,
+        schema="calibrate", json=json, quiet=quiet, verbose=verbose, then=then,
     )  # fmt: skip
 
 
@@ -136,11 +122,6 @@ def run_recalibrate(
         ...,
         "--actuators",
         help="IDs of the replaced actuators, such as 17,18; or auto, to find what changed.",
-    ),
-    reference: Path | None = typer.Option(
-        None,
-        help="Campaign with POSITION, or stiffness file, from before the change. It reduces the"
-        " errors.",
     ),
     output: Path | None = options.output("Calibration file to write."),
     segment: int | None = options.SEGMENT,
@@ -153,11 +134,10 @@ def run_recalibrate(
     """Calibrate replaced actuators with a short run; all others keep their calibration."""
     from truenewton.calibration.file import suffix_of
     from truenewton.calibration.summary import detail_lines
-    from truenewton.calibration.verdict import usable
-    from truenewton.reading import read_chosen
+    from truenewton.calibration.verdict import refuse_unusable
+    from truenewton.reading import read
     from truenewton.recalibration.fit import recalibrate
     from truenewton.recalibration.summary import lines, values
-    from truenewton.records.parts import has_parts
 
     auto = actuators.strip().casefold() == "auto"
     ids = [] if auto else options.ids(actuators, "--actuators")
@@ -165,18 +145,15 @@ def run_recalibrate(
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
     with busy("recalibrating"), about(paths):
-        data = read_chosen(*paths, segment=segment)
+        data = read(*paths, segment=segment)
         new = data.layout.ids_of(ids)
-        made = recalibrate(data, known, new, reference=reference, accept_rejected=anyway)
-        of_one = attrgetter("calibration")
-        found = made.map(of_one) if has_parts(made) else of_one(made)
-        calibration = usable(found, accept_rejected=anyway)
+        made = recalibrate(data, known, new, accept_rejected=anyway)
+        refuse_unusable(made.calibration, accept_rejected=anyway)
     if output is not None:
-        calibration.write(output, overwrite=overwrite)
+        made.calibration.write(output, overwrite=overwrite)
     print_result(
-        lines(made, calibration), output, details=detail_lines(calibration),
-        values=values(made, calibration), schema=schema_of("recalibrate", made),
-        json=json, quiet=quiet, verbose=verbose,
+        lines(made), output, details=detail_lines(made.calibration), values=values(made),
+        schema="recalibrate", json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip
 
 
@@ -207,15 +184,13 @@ def run_compare(
     from truenewton.comparison.compare import compare
     from truenewton.comparison.summary import lines, values
     from truenewton.figures.writing import write_figure
-    from truenewton.reading import read_chosen
+    from truenewton.reading import read
     from truenewton.records.file import SUFFIXES
 
     options.require_suffix(output, (*SUFFIXES, ".csv", ".ecsv"), "comparison")
     refuse_existing(output, figure, overwrite=overwrite)
     with busy("comparing"):
-        one, other, *third = (
-            read_chosen(path, segment=segment) for path in (old, new, repeat) if path
-        )
+        one, other, *third = (read(path, segment=segment) for path in (old, new, repeat) if path)
         compared = compare(one, other, repeat=third[0] if third else None)
     with atomic_outputs():
         if output is not None:
@@ -224,7 +199,7 @@ def run_compare(
             write_figure(compared.plot(), figure, overwrite=overwrite)
     written = (output, figure) if figure else (output,)
     print_result(
-        lines(compared), *written, values=values(compared), schema=schema_of("compare", compared),
+        lines(compared), *written, values=values(compared), schema="compare",
         json=json, quiet=quiet,
     )  # fmt: skip
 
@@ -270,5 +245,5 @@ def run_track(
     written = drawn if quiet or not figures else [figures]
     print_result(
         shown, output, *written, details=table_of(law), values=numbers,
-        schema=schema_of("track", law), json=json, quiet=quiet, verbose=verbose,
+        schema="track", json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip

@@ -140,13 +140,7 @@ def _unit_of(kind: Any, name: str) -> str:
     return quantity.unit if quantity else _declared_units().get(name, "") * (kind is Calibration)
 
 
-def _segments(of_one: Mapping[str, Schema], why_not: str) -> dict[str, Schema]:
-    """Return the key of the list of segments: of each its result, or why there is none."""
-    failed = {why_not: of_one.get(why_not, ANY)}
-    return {"segments": _list(_object({"segment": COUNT, **failed, **of_one}, (*of_one, why_not)))}
-
-
-def _info(calibrated: Schema, parts: Schema) -> dict[str, Schema]:
+def _info(calibrated: Schema) -> dict[str, Schema]:
     """Return the keys of `info`, by what the data are."""
     known = {"instrument": TEXT, "actuators": COUNT}
     of_data = known | {"disabled": COUNT, "separation": NUMBER, "faults": _list(ANY)}
@@ -157,9 +151,7 @@ def _info(calibrated: Schema, parts: Schema) -> dict[str, Schema]:
     return {
         "campaign": of_data | campaign,
         "stiffness": of_data | matrix | {"used_modes": COUNT},
-        "segments": known | {"segments": _list(ANY)},
         "calibration": calibrated,
-        "segmented calibration": parts,
     }
 
 
@@ -175,10 +167,6 @@ def _mirrors() -> list[Schema]:
 def _outputs() -> dict[str, list[Schema]]:
     """Return the schemas of each output, several if its keys depend on the data."""
     calibrated, moved = _of(calibration.VALUES), _of(recalibration.VALUES)
-    columns = _each(_list(NUMBER), " ".join(calibration.COLUMNS))
-    whole = {name: calibrated[name] for name in ("instrument", "date", "verdict")}
-    whole["actuators"] = _object(columns | _each(_list(COUNT), "id segment"))
-    parts = whole | _segments(calibrated, "verdict")
     tracked = _of(tracking.VALUES) | {"validity": _of_type(Validity)}
     compared = _of(comparison.VALUES)
     modes = _of(modal.VALUES) | {"bases": _list(ANY), "limits": _object(_of_fields(Budget))}
@@ -192,19 +180,15 @@ def _outputs() -> dict[str, list[Schema]]:
     imported = {"instrument": TEXT, "actuators": COUNT, "found": found}
     proofs = _list(_object(_of_fields(Proof) | {"ratio": NUMBER}))
     proven = {"mirror": TEXT, "limit": NUMBER, "passed": TRUTH, "worst": NUMBER, "proofs": proofs}
-    info = _info(calibrated, parts).items()
+    info = _info(calibrated).items()
+    of_segment = _object({"segment": COUNT, "result": found, "error": TEXT}, ("result", "error"))
     return {
         "info": [_object({"holds": {"const": what}, **keys}) for what, keys in info],
         "calibrate": [_object(calibrated)],
-        "calibrate-segments": [_object(parts)],
         "recalibrate": [_object(calibrated | moved)],
-        "recalibrate-segments": [_object(whole | _segments(calibrated | moved, "verdict"))],
         "track": [_object(tracked, ("validity",))],
-        "track-segments": [_object({"instrument": TEXT, **_segments(tracked, "faults")})],
         "compare": [_object(compared), _object(_of(comparison.CHANGE_VALUES))],
-        "compare-segments": [_object({"instrument": TEXT, **_segments(compared, "faults")})],
         "modes": [_object(modes, ("measured",))],
-        "modes-segments": [_object(_segments(modes, "fault"))],
         "plan": [_object(planned)],
         "acquire": [_object({**acquired, "invalid": found})],
         "import": [_object(imported)],
@@ -213,6 +197,7 @@ def _outputs() -> dict[str, list[Schema]]:
         "prove": [_object(proven)],
         "mirrors": [_object({"mirrors": _list(mirrors[0]), "segmented": _list(mirrors[1])})],
         "mirror": mirrors,
+        "segments": [_object({"segments": _list(of_segment)})],
     }
 
 

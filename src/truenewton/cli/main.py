@@ -17,15 +17,14 @@ from typer.core import TyperGroup
 
 from truenewton import __version__
 from truenewton.cli import calibrate, simulate, take, use
-from truenewton.errors import Interrupted, TrueNewtonError, printable
+from truenewton.cli.segments import each_segment
+from truenewton.cli.terminal import refuse, told
+from truenewton.errors import Interrupted, TrueNewtonError
 
 # The base of what typer raises for a wrong command line, which typer itself does not export:
 # ClickException of its own copy of click.
 CommandLineError: Any = typer.BadParameter.__mro__[2]
 STOPPED = 130  # as a shell says of a command that Ctrl-C ended
-# Each number was checked when it was read; only together are they absurd.
-BROKEN = "the calculation broke down"
-WHAT_TO_DO = "numbers are too large, too small or too similar; check each file with `info`"
 GROUPS = {  # of --help, each with its commands and an example of each
     "To begin": {"demo": "truenewton demo -o demo/"},
     "Take data": {
@@ -50,7 +49,6 @@ GROUPS = {  # of --help, each with its commands and an example of each
     },
     "Simulate": {
         "simulate": "truenewton simulate p45 -o campaign/ --cycles 4",
-        "serve": "truenewton serve p45 -o keys/",
         "prove": "truenewton prove p45 --seeds 20",
         "mirrors": "truenewton mirrors p45 --plot",
     },
@@ -77,7 +75,10 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for name, example in EXAMPLES.items():
-    app.command(name=name, epilog=f"\b\nFor example:\n  {example}")(FUNCTIONS[f"run_{name}"])
+    command = FUNCTIONS[f"run_{name}"]
+    if "segment" in command.__annotations__:
+        command = each_segment(command)
+    app.command(name=name, epilog=f"\b\nFor example:\n  {example}")(command)
 
 
 def _version(asked: bool) -> None:
@@ -140,16 +141,16 @@ def _run() -> Any:
             sys.stdout.flush()
         return code or 0
     except Interrupted as stopped:
-        return _refuse(str(stopped), STOPPED)
+        return refuse(str(stopped), STOPPED)
     except TrueNewtonError as error:
-        return _refuse(str(error))
+        return refuse(told(error))
     except CommandLineError as error:
         command = " ".join(["truenewton", *(word for word in sys.argv[1:2] if word in EXAMPLES)])
         fault = error.format_message().rstrip(".")
         see = " See" if fault.endswith("?") else "; see"  # it asks what was meant
-        return _refuse(f"{fault}{see} '{command} --help'")
+        return refuse(f"{fault}{see} '{command} --help'")
     except (typer.Abort, KeyboardInterrupt):
-        return _refuse("interrupted; nothing was left half-written", STOPPED)
+        return refuse("interrupted; nothing was left half-written", STOPPED)
     except BrokenPipeError:  # the reader of our output went away, as in `| head`
         return 0
     except SystemExit as left:
@@ -158,12 +159,12 @@ def _run() -> Any:
     except (ArithmeticError, RuntimeWarning, ValueError) as error:
         if isinstance(error, ValueError) and type(error).__name__ != "LinAlgError":
             raise
-        return _refuse(f"{BROKEN} ({error}): {WHAT_TO_DO}")
+        return refuse(told(error))
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        return _refuse(f"{where}{error.strerror or error}")
+        return refuse(f"{where}{error.strerror or error}")
     except MemoryError:
-        return _refuse("not enough memory; give fewer files at once")
+        return refuse("not enough memory; give fewer files at once")
 
 
 @contextlib.contextmanager
@@ -189,9 +190,3 @@ def _discard_unwritten() -> None:
             stream.flush()
         except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def _refuse(line: str, code: int = 2) -> int:
-    with contextlib.suppress(OSError):  # standard error may be closed or full
-        print(f"truenewton: {printable(' '.join(line.split()))}", file=sys.stderr)
-    return code

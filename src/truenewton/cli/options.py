@@ -14,7 +14,6 @@ from truenewton.errors import FormatError, GeometryError, OutputFailed
 
 if TYPE_CHECKING:
     from truenewton.arrays import Array
-    from truenewton.calibration.methods import Seen
     from truenewton.reading import Read
     from truenewton.statics.layout import Layout
 
@@ -43,8 +42,14 @@ EXCLUDE = typer.Option(
     metavar="ID,...",
     help="Actuators to leave out of the calibration, such as 17,18.",
 )
-SEGMENT = typer.Option(
+ONE_SEGMENT = typer.Option(
     None, "--segment", help="Number of the segment to use (segmented mirrors only)."
+)
+SEGMENT = typer.Option(
+    None,
+    "--segment",
+    help="Number of the segment to read (segmented mirrors only). By default, each segment is"
+    " processed in turn, and the names of its outputs contain its number.",
 )
 JSON = typer.Option(False, "--json", help="Print numbers as JSON, for scripts.")
 VERBOSE = typer.Option(False, "-v", "--verbose", help="Print all numbers, and all actuators.")
@@ -92,24 +97,20 @@ def require_suffix(
         raise OutputFailed(f"is no name for a {what}", remedy=remedy, path=output)
 
 
-def motion_of(mirror: str | None, data: Read) -> Seen | None:
-    """Return (6, n, n) what the sensors measure of the mirror model, or that of each segment.
+def motion_of(mirror: str | None, data: Read) -> Array | None:
+    """Return (6, n, n) what the sensors measure of the mirror model.
 
     None without --mirror, or for a calibration, which needs none.
     """
     if mirror is None:
         return None
+    from truenewton.calibration.result import Calibration
     from truenewton.mirrors.file import whole_mirror_from
-    from truenewton.mirrors.segmented import SegmentedMirror
-    from truenewton.mirrors.sensor_model import segment_sensor_models, sensor_model
-    from truenewton.reading import holds_alpha
+    from truenewton.mirrors.sensor_model import sensor_model
 
-    if holds_alpha(data):
+    if isinstance(data, Calibration):
         return None
-    known = whole_mirror_from(mirror)
-    if isinstance(known, SegmentedMirror) and data.layout.segments:
-        return segment_sensor_models(known, data.layout)
-    return sensor_model(known, data.layout)
+    return sensor_model(whole_mirror_from(mirror), data.layout)
 
 
 def model_of(mirror: str | None, data: Read) -> Array | None:

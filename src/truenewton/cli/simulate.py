@@ -1,4 +1,4 @@
-"""Simulate: `demo`, `simulate`, `serve`, `prove` and `mirrors`."""
+"""Simulate: `demo`, `simulate`, `prove` and `mirrors`."""
 
 from __future__ import annotations
 
@@ -119,62 +119,6 @@ def run_simulate(
         f" with both signs; true values: {sealed.name}"
     )
     print_result([line], *((output, sealed) if quiet else ()), quiet=quiet)
-
-
-def run_serve(
-    mirror: str = typer.Argument(..., help="A known mirror, or its TOML file."),
-    keys: Path = typer.Option(
-        Path("truenewton-keys"),
-        "-o",
-        "--keys",
-        help="Folder of certificates, keys and password; created if it does not exist.",
-    ),
-    port: int = typer.Option(4840, min=1, max=65535, help="TCP port."),
-    segment: int | None = options.SEGMENT,
-    seed: int = options.SEED,
-    noise: float = options.NOISE,
-    fidelity: str = options.FIDELITY,
-) -> None:
-    """Start an OPC UA server for the simulated bench on this machine; clients need a key."""
-    from truenewton.bench.opcua import require_asyncua
-
-    require_asyncua()
-    import asyncio
-    import json
-    import signal
-
-    from truenewton.bench.opcua.keys import CLIENT_FILES, USER, make_keys
-    from truenewton.bench.opcua.server import check_port, serving
-    from truenewton.bench.simulated.bench import SimulatedBench
-    from truenewton.bench.simulated.static import seed_of
-    from truenewton.mirrors.file import mirror_from, segment_from
-
-    if segment is None:
-        known = mirror_from(mirror)
-    else:
-        known, seed = segment_from(mirror, segment)[0], seed_of(seed, segment)
-    with busy("preparing the bench"):
-        bench = SimulatedBench(known, seed, force_noise=noise, fidelity=fidelity)
-    check_port(port)
-    make_keys(keys)
-
-    async def serve_until_stopped() -> None:
-        """Serve until Ctrl-C, or until SIGTERM."""
-        stopped, loop = asyncio.Event(), asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):  # Windows has no loop.add_signal_handler
-            signal.signal(number, lambda *_: loop.call_soon_threadsafe(stopped.set))
-        async with serving(bench, keys, port) as address:
-            say(
-                f"the simulated bench of {bench.instrument}, {bench.layout.n} actuators; Ctrl-C"
-                " ends it. For a plan:", "", "[bench]",
-            )  # fmt: skip
-            table = {"kind": "opcua", "address": address, "user": USER}
-            table |= {name: str(keys.resolve() / file) for name, file in CLIENT_FILES.items()}
-            for name, value in table.items():
-                say(f"{name} = {json.dumps(value)}")  # a string of JSON is a string of TOML
-            await stopped.wait()
-
-    asyncio.run(serve_until_stopped())
 
 
 def run_prove(

@@ -88,7 +88,7 @@ def run_plan(
 def run_acquire(
     plan: Path = typer.Argument(..., metavar="PLAN", help="The plan of the campaign (TOML)."),
     output: Path = options.output("Folder for the cycle files.", ...),
-    segment: int | None = options.SEGMENT,
+    segment: int | None = options.ONE_SEGMENT,
     yes: bool = typer.Option(
         False,
         "--yes",
@@ -97,11 +97,12 @@ def run_acquire(
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
-    """Run a plan on a bench and write OUTPUT; the same command resumes a stopped run."""
-    from truenewton.acquisition.acquire import acquire, chosen_bench, simulated_bench
+    """Run a plan on a bench and write OUTPUT; the same command takes missing cycles."""
+    from truenewton.acquisition.acquire import acquire, chosen_bench
     from truenewton.acquisition.folder import invalid_rows, is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
-    from truenewton.bench.protocol import Operator
+    from truenewton.bench.protocol import Operator, faults_of
+    from truenewton.bench.simulated.bench import SimulatedBench
     from truenewton.bench.simulated.truth import truth_path
     from truenewton.rounding import counted
 
@@ -116,19 +117,20 @@ def run_acquire(
         )
     if complete:
         refuse_other_plan(output, wanted, beside)
-    else:
+    with busy("connecting"):
+        bench = chosen_bench(wanted, beside) if simulated or not complete else None
+    if bench is not None and not complete:
         terminal = Terminal(yes, apart=json or quiet)
-        with busy("connecting"):
-            bench = chosen_bench(wanted, beside)
         try:
             operator = None if isinstance(bench, Operator) else terminal
             acquire(bench, wanted, output, beside=beside, operator=operator, onlooker=terminal)
         finally:
             terminal.bar.stop()
             if hasattr(bench, "close"):
-                bench.close()
-    if simulated:
-        simulated_bench(wanted, beside).write_truth(output, overwrite=True)
+                with faults_of(f"{type(bench).__name__}.close"):
+                    bench.close()
+    if simulated and isinstance(bench, SimulatedBench):
+        bench.write_truth(output, overwrite=True)
     with busy("checking the files"):
         rows = invalid_rows(output, wanted)
     invalid = {name: number for name, (number, _) in rows.items() if number}

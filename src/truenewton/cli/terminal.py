@@ -17,11 +17,15 @@ from truenewton.errors import (
     NotToBeUsed,
     RankDeficient,
     TooManyOutliers,
+    TrueNewtonError,
     located,
     printable,
 )
 from truenewton.rounding import WIDTH, counted, wrapped
 
+# Each number was checked when it was read; only together are they absurd.
+BROKEN = "the calculation broke down"
+WHAT_TO_DO = "numbers are too large, too small or too similar; check each file with `info`"
 ERRORS_OF_DATA = FormatError, RankDeficient, TooManyOutliers, NotConverged, NotToBeUsed
 
 
@@ -36,6 +40,20 @@ def say(*lines: object, stream: TextIO | None = None, end: str = "\n") -> None:
         except BrokenPipeError:
             if stream is None or stream is not sys.stderr:
                 raise
+
+
+def told(error: Exception) -> str:
+    """Return the line that states an error, or that the calculation broke down with it."""
+    if isinstance(error, TrueNewtonError):
+        return str(error)
+    return f"{BROKEN} ({error}): {WHAT_TO_DO}"
+
+
+def refuse(line: str, code: int = 2) -> int:
+    """Print why a command failed, and return its exit code."""
+    with contextlib.suppress(OSError):  # standard error may be closed or full
+        print(f"truenewton: {printable(' '.join(line.split()))}", file=sys.stderr)
+    return code
 
 
 @contextlib.contextmanager
@@ -85,13 +103,6 @@ def print_result(
         say("No file was written. To save the result, add -o FILE.")
     if then and not quiet:
         say(f"next: {then}")
-
-
-def schema_of(name: str, result: object) -> str:
-    """Return the name of the JSON schema of a result, which differs for segmented mirrors."""
-    from truenewton.records.parts import has_parts
-
-    return f"{name}-segments" if has_parts(result) else name
 
 
 class Bar:
@@ -163,7 +174,7 @@ def busy(what: str, *, keeping: bool = False) -> Iterator[Waiting]:
 
     waiting, bar = Waiting(), Bar()
 
-    def told(now: str, done: float, keep: Callable[[], Any] | None) -> None:
+    def show(now: str, done: float, keep: Callable[[], Any] | None) -> None:
         if keep is None:
             bar.show(f"{what}: {now}", done)
         elif keeping:
@@ -173,7 +184,7 @@ def busy(what: str, *, keeping: bool = False) -> Iterator[Waiting]:
 
     bar.show(what)
     try:
-        with progress_to(told):
+        with progress_to(show):
             yield waiting
     finally:
         bar.stop()

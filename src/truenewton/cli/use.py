@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from truenewton.cli import options
-from truenewton.cli.terminal import about, busy, print_result, schema_of
+from truenewton.cli.terminal import about, busy, print_result
 from truenewton.files.outputs import atomic_outputs, refuse_existing
 from truenewton.rounding import row
 
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 
 DIAMETER = typer.Option(
-    None, help="Diameter of the telescope pupil [m]; without it, no turbulence is modelled."
+    None,
+    help="Diameter of the telescope pupil, or of the part that the segment fills [m]; without it,"
+    " no turbulence is modelled.",
 )
 RADIUS = typer.Option(
     None,
@@ -60,7 +62,7 @@ def run_report(
 ) -> None:
     """Write one page: verdict, map, residuals and inputs, or the comparison of two states."""
     from truenewton.comparison.compare import compare
-    from truenewton.reading import read_alpha, read_chosen, read_compared
+    from truenewton.reading import read, read_calibration, read_compared
     from truenewton.report.findings import investigate
     from truenewton.report.page.page import write_report
     from truenewton.report.verdict import headline_of
@@ -74,10 +76,10 @@ def run_report(
             edges = options.edges_of(mirror, pair[0].layout)
             findings = compare(*pair)
         else:
-            data = read_chosen(*paths, segment=segment)
+            data = read(*paths, segment=segment)
             edges = options.edges_of(mirror, data.layout)
             motion = options.motion_of(mirror, data)
-            made = None if calibration is None else read_alpha(calibration, segment=segment)
+            made = None if calibration is None else read_calibration(calibration)
             findings = investigate(
                 data, method, calibration=made, population=population, motion=motion,
                 diameter=diameter, efficiency=efficiency,
@@ -101,13 +103,13 @@ def run_figures(
 ) -> None:
     """Draw the figures of the paper and of the report, as PDF and PNG."""
     from truenewton.calibration.figures import write_figures
-    from truenewton.reading import read_chosen
+    from truenewton.reading import read
     from truenewton.report.figures import still_figures
     from truenewton.report.findings import investigate, require_calibration
 
     refuse_existing(output, overwrite=overwrite)
     with busy("drawing"), about(paths):
-        data = read_chosen(*paths, segment=segment)
+        data = read(*paths, segment=segment)
         findings = investigate(data)
         made, more = require_calibration(findings), still_figures(findings)
         written = write_figures(made, output, more=more, numbers=numbers, overwrite=overwrite)
@@ -149,14 +151,14 @@ def run_modes(
     quiet: bool = options.QUIET,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within limits of power or force."""
-    from truenewton.calibration.verdict import usable
+    from truenewton.calibration.verdict import refuse_unusable
     from truenewton.figures.writing import write_drawn
     from truenewton.modal.figures import modes_figures
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modal_base import Budget
     from truenewton.modal.summary import detail_lines, lines, values
-    from truenewton.reading import read_alpha, read_data
+    from truenewton.reading import read_calibration, read_data
     from truenewton.records.file import SUFFIXES
 
     options.require_suffix(output, SUFFIXES, "modal basis")
@@ -165,17 +167,14 @@ def run_modes(
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     with busy("reading"):
         data = read_data(*paths, segment=segment)
-    if output is not None:
-        for number in data.layout.segments:
-            refuse_existing(*modes_paths(output, number), overwrite=overwrite)
     floating = data.layout.ids_of(options.ids(off, "--off"))
     follows = data.layout.ids_of(options.ids(slaved, "--slaved"))
     written: list[Path] = []
     with busy("finding modes"), about(paths):
         motion, alpha = options.motion_of(mirror, data), None
         if calibration is not None:
-            alpha = read_alpha(calibration, segment=segment)
-            alpha = usable(alpha, accept_rejected=anyway, path=calibration)
+            alpha = read_calibration(calibration)
+            refuse_unusable(alpha, accept_rejected=anyway, path=calibration)
         found = find_modes(
             data, alpha, atmosphere, diameter=diameter, radius=radius, accept_rejected=anyway,
             efficiency=efficiency, motion=motion, model=options.model_of(mirror, data),
@@ -191,11 +190,11 @@ def run_modes(
     if output is not None and not quiet:
         shown.append(ALSO_WRITTEN)
     files: Iterable[Path | None] = written or (None,)
-    if written and not quiet and (output is None or output in written):  # not of segments
+    if written and not quiet:
         files = filter(None, (output, figures))
     print_result(
         shown, *files, details=detail_lines(found), values=values(found, limits),
-        schema=schema_of("modes", found), json=json, quiet=quiet, verbose=verbose,
+        schema="modes", json=json, quiet=quiet, verbose=verbose,
     )  # fmt: skip
 
 
@@ -229,7 +228,6 @@ def run_export(
     output: Path = options.output(
         "Matrix to write (.npy, .fits, .csv, .mat); of a folder also a folder.", ...
     ),
-    segment: int | None = options.SEGMENT,
     anyway: bool = typer.Option(
         False, "--anyway", help="Continue even if the verdict is 'doubtful' or 'rejected'."
     ),
@@ -242,6 +240,6 @@ def run_export(
 
     refuse_existing(output, overwrite=overwrite)
     with busy("exporting"):
-        one = read_calibration(calibration, segment=segment)
+        one = read_calibration(calibration)
         lines = export_matrix(source, one, output, overwrite=overwrite, accept_rejected=anyway)
     print_result(lines, output, quiet=quiet)

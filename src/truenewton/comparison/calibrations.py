@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,9 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.layers import alpha_layer
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.result import Calibration
 from truenewton.chance import FALSE_ALARM, normal_isf
-from truenewton.errors import CampaignMismatch, OutputFailed, RankDeficient
+from truenewton.errors import CampaignMismatch, OutputFailed
 from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.figures.layers import Layer
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
@@ -25,7 +24,6 @@ from truenewton.figures.style import ACCENT, FAINT, legend_above, on_screen, sty
 from truenewton.files.format import Column, TableFormat, quantities
 from truenewton.files.outputs import file_beside
 from truenewton.records.file import ID, X, Y
-from truenewton.records.parts import Parts, has_parts
 from truenewton.statics.layout import Layout
 
 
@@ -59,15 +57,13 @@ class Change:
         The calibrations.
     ratio, ratio_error
         Median of alpha after over alpha before, and its standard uncertainty; NaN where a scale is
-        a convention, and for several segments.
+        a convention.
     relative
         (n,) change of alpha beside the ratio, in terms of alpha; NaN where either is disabled.
     sigmas
         (n,) the same in terms of the readings' errors of both (E_STAT), taken as independent.
     limit
         Sigmas that one actuator of all reaches by chance in a hundredth of such comparisons.
-    segments
-        Of a mirror in several segments the change of each that has alpha in both, by its number.
 
     Examples
     --------
@@ -75,14 +71,13 @@ class Change:
     array([], dtype=int64)
     """
 
-    one: AnyCalibration
-    other: AnyCalibration
+    one: Calibration
+    other: Calibration
     ratio: float
     ratio_error: float
     relative: Array
     sigmas: Array
     limit: float
-    segments: Mapping[int, Change] = field(default_factory=dict)
 
     @property
     def layout(self) -> Layout:
@@ -154,8 +149,8 @@ class Change:
         return ax
 
 
-def compare_calibrations(one: AnyCalibration, other: AnyCalibration) -> Change:
-    """Compare two calibrations of one mirror; of several segments each by itself.
+def compare_calibrations(one: Calibration, other: Calibration) -> Change:
+    """Compare two calibrations of one mirror.
 
     With r the median of alpha'/alpha, the change of actuator i is alpha'_i / r - alpha_i, with the
     variance E_STAT_i^2 + (E_STAT'_i / r)^2. The errors of the weights move all alphas together, so
@@ -170,19 +165,10 @@ def compare_calibrations(one: AnyCalibration, other: AnyCalibration) -> Change:
     ------
     CampaignMismatch
         The calibrations are not of the same actuators.
-    RankDeficient
-        No segment has alpha in both.
     """
-    if has_parts(one) != has_parts(other):
-        raise CampaignMismatch(
-            "one calibration is of several segments, the other of one body",
-            remedy="choose the segment: --segment, or part(...) in Python",
-        )
     a, b = one.layout, other.layout
     # Which are enabled may differ, and what was taken for their direction.
     apart = b.other_actuators(a if a.n != b.n else replace(a, nz=b.nz))
-    if not apart and a.segments != b.segments:
-        apart = "their segments differ"
     both = np.zeros(0, dtype=bool) if apart else a.enabled & b.enabled
     if not both.any():
         raise CampaignMismatch(
@@ -190,29 +176,14 @@ def compare_calibrations(one: AnyCalibration, other: AnyCalibration) -> Change:
             f" actuators: {apart or 'none is enabled in both'}",
             remedy="compare two calibrations of one mirror",
         )
-    parts, ratio, ratio_error = dict[int, Change](), math.nan, math.nan
-    if has_parts(one) and has_parts(other):
-        for number in one.found.keys() & other.found.keys():
-            parts[number] = compare_calibrations(one.found[number], other.found[number])
-        if not parts:
-            remedy = "look at each file with `info`"
-            raise RankDeficient("no segment has alpha in both", remedy=remedy)
-        lacking = {number: () for number in one.numbers if number not in parts}
-        whole = Parts(one.instrument, a, parts, failed=lacking)
-        relative, sigmas = whole.column("relative"), whole.column("sigmas")
-    else:
-        assert isinstance(one, Calibration)
-        assert isinstance(other, Calibration)
-        ratio = float(np.median(other.alpha[both] / one.alpha[both]))
-        moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
-        error = np.hypot(one.statistical_error, other.statistical_error / ratio)
-        if Scale.MEAN_ONE not in (one.scale, other.scale):
-            scales = (typical(c.systematic_error, c.alpha) for c in (one, other))
-            ratio_error = ratio * math.hypot(*scales)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            relative, sigmas = moved / one.alpha, moved / error
-        sigmas[~np.isfinite(sigmas)] = np.nan
-    # Segments are judged at the limit of all actuators together.
+    ratio, ratio_error = float(np.median(other.alpha[both] / one.alpha[both])), math.nan
+    moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
+    error = np.hypot(one.statistical_error, other.statistical_error / ratio)
+    if Scale.MEAN_ONE not in (one.scale, other.scale):
+        scales = (typical(c.systematic_error, c.alpha) for c in (one, other))
+        ratio_error = ratio * math.hypot(*scales)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative, sigmas = moved / one.alpha, moved / error
+    sigmas[~np.isfinite(sigmas)] = np.nan
     limit = float(normal_isf(FALSE_ALARM / 2 / np.isfinite(relative).sum()))
-    segments = {number: replace(parts[number], limit=limit) for number in sorted(parts)}
-    return Change(one, other, ratio, ratio_error, relative, sigmas, limit, segments)
+    return Change(one, other, ratio, ratio_error, relative, sigmas, limit)

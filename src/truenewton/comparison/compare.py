@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, overload
 
@@ -12,22 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.result import AnyCalibration
+from truenewton.calibration.result import Calibration
 from truenewton.chance import FALSE_ALARM, t_isf
 from truenewton.comparison.calibrations import Change, compare_calibrations
 from truenewton.comparison.fit import Noise, PairFit, fit_pair, rough_factors
 from truenewton.comparison.pairing import Pair, Side, pair_matrices, rough_residual
-from truenewton.comparison.result import Comparison
+from truenewton.comparison.result import AnyChange, Comparison
 from truenewton.errors import CampaignMismatch, TrueNewtonError
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import balance_effects, orientation_effects
 from truenewton.modal.measured_stiffness import measured_stiffness
-from truenewton.reading import Read, holds_alpha, read
+from truenewton.reading import Read, read
 from truenewton.records.campaign import Campaign
-from truenewton.records.parts import Parts, refuse_other_mirror
-from truenewton.records.reader import AnyPath
-from truenewton.records.segmented import SegmentedData, refuse_segments
+from truenewton.records.reader import AnyPath, Measured
+from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
 from truenewton.statics.arms import comparable_arms
@@ -42,24 +41,20 @@ TRANSPOSED_SPREAD_RATIO = 3.0
 MAX_EMPTY_MODE, MIN_MISSING_MODES = 1e-3, 4
 MAX_NAMING_PASSES = 20
 
-Body = Campaign | StiffnessMatrix
 
-
-@overload
-def compare(old: Body, new: Body, *, repeat: Read | AnyPath | None = None) -> Comparison: ...
-@overload
-def compare(old: AnyCalibration, new: AnyCalibration, *, repeat: None = None) -> Change: ...
 @overload
 def compare(
-    old: SegmentedData, new: SegmentedData, *, repeat: Read | AnyPath | None = None
-) -> Parts[Comparison]: ...
+    old: Measured, new: Measured, *, repeat: Measured | AnyPath | None = None
+) -> Comparison: ...
+@overload
+def compare(old: Calibration, new: Calibration, *, repeat: None = None) -> Change: ...
 @overload
 def compare(
     old: Read | AnyPath, new: Read | AnyPath, *, repeat: Read | AnyPath | None = None
-) -> Comparison | Parts[Comparison] | Change: ...
+) -> AnyChange: ...
 def compare(
     old: Read | AnyPath, new: Read | AnyPath, *, repeat: Read | AnyPath | None = None
-) -> Comparison | Parts[Comparison] | Change:
+) -> AnyChange:
     """Return what changed between two states of one mirror.
 
     Two stiffness matrices, two campaigns with POSITION, or one of each show the change of each
@@ -82,7 +77,7 @@ def compare(
         They are not of one mirror or not of one kind, a matrix is transposed or has the other sign,
         or one was computed from the other.
     RankDeficient
-        The shapes of a campaign do not determine a stiffness, or no segment can be compared.
+        The shapes of a campaign do not determine a stiffness.
 
     Examples
     --------
@@ -98,33 +93,18 @@ def compare(
         for each in (old, new, repeat)
         if each is not None
     ]
-    if len(calibrations := [each for each in given if holds_alpha(each)]) == len(given) == 2:
-        return compare_calibrations(*calibrations)
-    if len(bodies := [each for each in given if isinstance(each, Body)]) == len(given):
-        return _compare_bodies(bodies)
-    if len(parts := [each for each in given if isinstance(each, SegmentedData)]) == len(given):
-        return _compare_segments(parts)
+    if len(calibrations := [each for each in given if isinstance(each, Calibration)]) == 2:
+        if len(given) == 2:
+            return compare_calibrations(*calibrations)
+    elif not calibrations:
+        return _compare_bodies([each for each in given if isinstance(each, Measured)])
     raise CampaignMismatch(
         "only stiffness matrices and campaigns, or two calibrations, can be compared",
-        remedy="give two files or folders of one kind, of all segments or of one",
+        remedy="give two files or folders of one kind",
     )
 
 
-def _compare_segments(data: Sequence[SegmentedData]) -> Parts[Comparison]:
-    """Compare the segments that all data contain."""
-    for each in data[1:]:
-        refuse_other_mirror(each, data[0], "the old data", "", "give data of one mirror")
-    alarm = FALSE_ALARM / len(data[0].numbers)
-
-    def solver(number: int) -> Callable[[Body], Comparison]:
-        return lambda part: _compare_bodies(
-            [part, *(each.part(number) for each in data[1:])], alarm
-        )
-
-    return data[0].solved(solver, "a comparison")
-
-
-def _sides(data: Sequence[Body]) -> tuple[list[Side], bool]:
+def _sides(data: Sequence[Measured]) -> tuple[list[Side], bool]:
     """Return the stiffness of each, measured or by regression, and whether all noise is known."""
     sides, residuals = [], []
     for name, given in zip(("old", "new", "repeat"), data, strict=False):
@@ -148,8 +128,8 @@ def _sides(data: Sequence[Body]) -> tuple[list[Side], bool]:
     ], True
 
 
-def _compare_bodies(data: Sequence[Body], alarm: float = FALSE_ALARM) -> Comparison:
-    """Compare old, new and perhaps a repeat of one body; ``alarm`` is the rate of false alarms."""
+def _compare_bodies(data: Sequence[Measured]) -> Comparison:
+    """Compare old, new and perhaps a repeat."""
     (one, other, *third), known = _sides(data)
     pair = pair_matrices(one, other)
     _refuse_processed(pair)
@@ -164,7 +144,7 @@ def _compare_bodies(data: Sequence[Body], alarm: float = FALSE_ALARM) -> Compari
         free = 1.0 - 1.0 / pair.layout.n  # root of the share that factors do not absorb
         excess = float(np.sqrt((fit.noise.whitened(fit.unchanged) ** 2).mean())) / free
         fit = replace(fit, covariance=fit.covariance * max(1.0, excess) ** 2)
-    return _comparison(one.matrix, other.matrix, pair, fit, excess, alarm)
+    return _comparison(one.matrix, other.matrix, pair, fit, excess)
 
 
 def _comparison(
@@ -173,7 +153,6 @@ def _comparison(
     pair: Pair,
     fit: PairFit,
     excess: float,
-    alarm: float,
 ) -> Comparison:
     """Return the factors relative to the actuators that did not change."""
     n, means, arrays = pair.layout.n, list[Array](), dict[str, Any]()
@@ -183,7 +162,7 @@ def _comparison(
     for k, (name, part, own) in enumerate(
         (("alpha", fit.a, fit.covariance[:n, :n]), ("sensor", fit.b, fit.covariance[n:, n:]))
     ):
-        changed, scatter = _changed(part, fit.signs[k], own, alarm)
+        changed, scatter = _changed(part, fit.signs[k], own)
         unchanged &= ~changed
         means.append(~changed / np.count_nonzero(~changed))
         about = np.eye(n) - means[k]
@@ -258,9 +237,7 @@ def _resemblance(fit: PairFit, unchanged: NDArray[np.bool_]) -> float:
     return float((logs[0] @ logs[1] - np.trace(both)) / np.sqrt(variance))
 
 
-def _changed(
-    values: Array, signs: Array, covariance: Array, alarm: float
-) -> tuple[NDArray[np.bool_], float]:
+def _changed(values: Array, signs: Array, covariance: Array) -> tuple[NDArray[np.bool_], float]:
     """Return which (n,) logarithms of factors deviate from the others, and the others' scatter."""
     n = len(values)
     variance = np.diag(covariance) - 2.0 * covariance.mean(axis=0) + covariance.mean()
@@ -277,7 +254,7 @@ def _changed(
         scatter = np.maximum(0.0, squares / (others - 1) - variance[kept].mean())
         sigmas = np.abs(centred - mean) / np.sqrt((variance + scatter) * (1.0 + 1.0 / others))
         # Half of the false alarms are left to couplings; two sides, rows and columns.
-        now = (signs != usual) | (sigmas > t_isf(alarm / 8 / n, others - 1))
+        now = (signs != usual) | (sigmas > t_isf(FALSE_ALARM / 8 / n, others - 1))
         if (now == changed).all():
             break
         changed = now

@@ -44,7 +44,6 @@ from numpy.typing import NDArray
 from truenewton import linalg
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, normal_isf
-from truenewton.recalibration.reference import factor_equations
 
 MAX_STEPS = 12
 MAX_STEP = 0.3  # of a logarithm
@@ -226,12 +225,14 @@ class ModeNoise:
     def equations(self, u: Array, t: Array, couplings: Couplings) -> tuple[Array, Array]:
         """Return the (2n,) score and the (2n, 2n) information of a and b without couplings."""
         left, right = self._inverses
-        score, information = factor_equations(t, left, right, left @ u @ right)
+        left_t, t_right = left @ t, t @ right
+        score, cross = t * (left @ u @ right), left_t * t_right
+        information = np.block([[left * (t_right @ t.T), cross], [cross.T, right * (t.T @ left_t)]])
         if len(couplings):
             i, j = couplings.T
-            pulls = np.concatenate([left[:, i] * (t @ right)[:, j], (left @ t)[i].T * right[:, j]])
+            pulls = np.concatenate([left[:, i] * t_right[:, j], left_t[i].T * right[:, j]])
             information -= pulls @ np.linalg.solve(self._between(couplings), pulls.T)
-        return score, information
+        return np.concatenate([score.sum(axis=1), score.sum(axis=0)]), information
 
     def with_leverage(self, t: Array, covariance: Array) -> ModeNoise:
         """Return the law with the leverage that factors of (2n, 2n) covariance have.

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.calibration.verdict import verdict_on_parts
 from truenewton.comparison.calibrations import Change, write_table
 from truenewton.comparison.fit import RowNoise
 from truenewton.comparison.pairing import Matching
@@ -24,8 +23,7 @@ from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat, quantities
 from truenewton.records.file import ID, INSTRUMENT, NZ, SUFFIXES, X, Y
-from truenewton.records.parts import Parts, body_or_parts_from
-from truenewton.records.result import KINDS, Result, ResultKind, verdict_of, write
+from truenewton.records.result import FORMATS, Result, write
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import OTHER_UNIT
 
@@ -156,17 +154,16 @@ class Comparison(Result):
         return judged(self.findings)
 
 
-AnyChange = Change | Comparison | Parts[Comparison]
+AnyChange = Change | Comparison
 
 
 def change_layers(c: AnyChange) -> tuple[Layer, ...]:
     """Return what changed of the actuators, for maps and tables."""
     if isinstance(c, Change):
         return c.layers
-    column = c.column if isinstance(c, Parts) else lambda name: getattr(c, name)
     layers = []
     for key, name in (("alpha", "alpha"), ("sensor", "sensor gain")):
-        change, error = (100 * column(f"{key}_ratio{of}") for of in ("", "_error"))
+        change, error = (100 * getattr(c, f"{key}_ratio{of}") for of in ("", "_error"))
         change = change - 100
         # One large change shall not hide the others, and noise shall be pale.
         reach = float(max(np.nanpercentile(np.abs(change), 95.0), 6.0 * np.nanmedian(error))) or 1.0
@@ -249,18 +246,11 @@ def comparison_from(file: FitsFile) -> Comparison:
     return file.filled(Comparison, values)
 
 
-COMPARISONS = ResultKind(
-    COMPARISON,
-    comparison_from,
-    "CHANGE",
-    {"COMMON": np.nan, "E_COMMON": np.nan, "NOISE": np.nan, "PATTERN": np.nan},
-    {"CHANGED": lambda c: int(c.changed.sum())},
-)
-KINDS[Comparison] = COMPARISONS
+FORMATS[Comparison] = COMPARISON
 
 
-def read_comparison(path: str | os.PathLike[str]) -> Comparison | Parts[Comparison]:
-    """Read what `compare -o` wrote as FITS, of one body or of several segments.
+def read_comparison(path: str | os.PathLike[str]) -> Comparison:
+    """Read what `compare -o` wrote as FITS.
 
     Parameters
     ----------
@@ -277,19 +267,13 @@ def read_comparison(path: str | os.PathLike[str]) -> Comparison | Parts[Comparis
     >>> tn.read_comparison("change.fits")
     <Comparison of P45: 45 actuators, 0 changed>
     """
-    found: Comparison | Parts[Comparison] = body_or_parts_from(read_fits(path), COMPARISONS)
-    return found
+    return comparison_from(read_fits(path))
 
 
 @write.register(Comparison)
-def _write(
-    c: Comparison | Parts[Comparison], path: str | os.PathLike[str], *, overwrite: bool = False
-) -> None:
+def _write(c: Comparison, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write a comparison as FITS, or its table as .csv or .ecsv."""
     if os.fspath(path).lower().endswith(SUFFIXES):
         write.dispatch(object)(c, path, overwrite=overwrite)
     else:
         write_table(c.table, path, overwrite=overwrite)
-
-
-verdict_of.register(Comparison)(verdict_on_parts)

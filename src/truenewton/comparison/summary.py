@@ -11,11 +11,9 @@ import numpy as np
 from truenewton.calibration.summary import verdict_lines
 from truenewton.comparison.calibrations import CHANGE, Change
 from truenewton.comparison.pairing import Matching
-from truenewton.comparison.result import CHANGES, Comparison
+from truenewton.comparison.result import CHANGES, AnyChange, Comparison
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.findings.finding import as_sentences
 from truenewton.files.values import Columns, Values
-from truenewton.records.parts import Parts, fault_values, has_parts
 from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import counted, named, percent, row, with_error
 
@@ -34,17 +32,10 @@ UNDETECTABLE = (
 )
 
 
-def lines(c: Comparison | Parts[Comparison] | Change) -> Iterator[str]:
+def lines(c: AnyChange) -> Iterator[str]:
     """Yield what changed, the worst actuators, and whether the errors are valid."""
     if isinstance(c, Change):
         yield from _lines_of_calibrations(c)
-        return
-    if has_parts(c):
-        for number in c.numbers:
-            if number in c.failed:
-                yield f"segment {number}: {as_sentences(c.failed[number][0])}"
-            else:
-                yield from lines(c.found[number])
         return
     yield f"{c.instrument}: {counted(int(c.layout.enabled.sum()), 'actuator')} compared"
     yield from (row(*each) for each in figures(c))
@@ -111,10 +102,9 @@ def _lines_of_calibrations(c: Change) -> Iterator[str]:
     """Yield what changed between two calibrations."""
     compared = int(np.isfinite(c.sigmas).sum())
     yield f"{c.one.instrument}: two calibrations, {counted(compared, 'actuator')} compared"
-    if not c.segments:
-        error = WEIGHTS_INDEPENDENT if np.isfinite(c.ratio_error) else ""
-        ratio = with_error(c.ratio, c.ratio_error) if error else f"{c.ratio:.4f}"
-        yield row("common factor", ratio, error)
+    error = WEIGHTS_INDEPENDENT if np.isfinite(c.ratio_error) else ""
+    ratio = with_error(c.ratio, c.ratio_error) if error else f"{c.ratio:.4f}"
+    yield row("common factor", ratio, error)
     changed = counted(c.changed, "actuator") if c.changed.size else "none"
     yield row("alpha changed", changed, f"by more than {c.limit:.1f} sigma (1 % false alarms)")
     for k in c.changed[:MAX_ROWS]:
@@ -142,14 +132,12 @@ CHANGE_VALUES = Values(
 )  # fmt: skip
 
 
-def values(c: Comparison | Parts[Comparison] | Change) -> dict[str, Any]:
+def values(c: AnyChange) -> dict[str, Any]:
     """Return the same for a script."""
-    if has_parts(c):
-        return {"instrument": c.instrument, "segments": c.values(values, fault_values)}
     return dict((CHANGE_VALUES if isinstance(c, Change) else VALUES).of(c))
 
 
 @summary_of.register(Comparison)
-def _summary(c: Comparison | Parts[Comparison]) -> Summary:
+def _summary(c: Comparison) -> Summary:
     first, *others = lines(c)
     return Summary(first, (), others)

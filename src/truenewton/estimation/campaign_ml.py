@@ -8,6 +8,7 @@ variation of alpha over the mirror as its rms error.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
-from truenewton.chance import normal_isf
+from truenewton.chance import chi2_ppf, normal_isf
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.checks import (
     campaign_warnings,
@@ -86,7 +87,11 @@ from truenewton.estimation.problem import (
 )
 from truenewton.estimation.readings.moments import Moments, structure_of
 from truenewton.estimation.readings.rows import WEIGHED_NOISE
-from truenewton.estimation.screening.screen import ScreenedCampaign, refuse_too_many
+from truenewton.estimation.screening.screen import (
+    LONG_TAIL_RATIO,
+    ScreenedCampaign,
+    refuse_too_many,
+)
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import percent
@@ -155,15 +160,19 @@ def fit_campaign(screened: ScreenedCampaign, population: bool = False) -> Estima
 def with_noise_of_shapes(screened: ScreenedCampaign) -> ScreenedCampaign | None:
     """Return a campaign without repeats with the noise by which shapes repeat over loads and signs.
 
-    None if that agrees with FORCERR, or repeats show the noise.
+    None if that agrees with FORCERR, repeats show the noise, or a few readings have most of it.
     """
     structure, noise = screened.structure, screened.noise
     if noise.source != NoiseSource.DECLARED or structure is None:
         return None
     if LIMITS.fit_probability < structure.probability < 1.0 - LIMITS.fit_probability:
         return None
-    noise = replace(noise, variance=np.maximum(structure.reduced * noise.variance, noise.least))
     moments = replace(screened.moments, pooled=True)
+    left = moments.mean - moments.pooling.groups(moments.pooling.rows(moments.mean))
+    square = left**2 * moments.weight[:, None] / noise.variance
+    if np.mean(square) > LONG_TAIL_RATIO**2 * np.median(square) / chi2_ppf(0.5, 1):
+        return None
+    noise = replace(noise, variance=np.maximum(structure.reduced * noise.variance, noise.least))
     structure = structure_of(moments, noise, screened.samples)
     return replace(screened, noise=noise, moments=moments, structure=structure)
 
@@ -294,6 +303,9 @@ def _of_population(left: ExaminedFit, prior: Prior) -> tuple[ExaminedFit, str]:
         problem = replace(problem, prior=with_population(prior, smooth, alpha, spread))
         minimum = problem.fitted(left.moments, minimum.values)
         alpha = minimum.values[:n]
+        if np.median(alpha) <= 0.0:
+            fault = "alpha as a sample of one population is not positive"
+            raise NotConverged(fault, remedy="repeat more often, use larger forces, or add shapes")
     fitted = replace(left, problem=problem, minimum=minimum)
     method = f"ml, population {spread:.2g}"
     return fitted if left.fits or left.explained else _inflated(fitted, left.excess), method
@@ -313,11 +325,11 @@ def _no_better_than_uniform(left: ExaminedFit, prior: Prior) -> Iterator[Finding
     error = _relative_error(left)
     if error**2 <= LIMITS.error_share * spread**2:
         return
-    try:
-        pulled = percent(_relative_error(_of_population(left, prior)[0]))
-        instead = f"if you use --population, the typical error is {pulled}. "
-    except (RankDeficient, NotConverged):
-        instead = ""
+    instead = ""
+    with suppress(RankDeficient, NotConverged):
+        pulled = _relative_error(_of_population(left, prior)[0])
+        if pulled < error:
+            instead = f"if you use --population, the typical error is {percent(pulled)}. "
     yield Finding.of(Code.WORSE_THAN_UNIFORM, error=error, spread=spread, instead=instead)
 
 

@@ -3,20 +3,11 @@
 Only the user can decide this: suspects are named, also in the error if there is no alpha, and never
 corrected.
 
-Columns that belong to other actuators are found in two ways.
-
-By the stiffness: forces on displacements over the shapes of a campaign give that of the glass, K,
-except for the gain of each row (alpha) and of each column (the sensor). K is symmetric and not
-negative, so K_ij^2 <= K_ii K_jj, and no permutation has a larger product |K_1p(1) ... K_np(n)| than
-the diagonal; gains do not change which one is largest. If another one is, FORCE is in that order.
-
-By the balance: whatever the shapes, A diag(alpha) (c - c_mean) is no more than noise. So the three
-least eigenvectors of the second moment of centred readings, scaled by the noise, are
-T A diag(alpha) with some T (3, 3): homogeneous coordinates of each actuator, in a projection of the
-plane. T follows from the coordinates in the files by least squares without outliers (direct linear
-transformation); its inverse gives the position at which the forces of each actuator act. If two
-actuators act at each other's position, their cables are exchanged. This is reported if the balance
-fits with the columns back in order, and did not before.
+Columns that belong to other actuators are found by the stiffness. Forces on displacements over the
+shapes of a campaign give that of the glass, K, except for the gain of each row (alpha) and of each
+column (the sensor). K is symmetric and not negative, so K_ij^2 <= K_ii K_jj, and no permutation has
+a larger product |K_1p(1) ... K_np(n)| than the diagonal; gains do not change which one is largest.
+If another one is, FORCE is in that order.
 """
 
 from __future__ import annotations
@@ -34,16 +25,14 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, chi2_sf, f_isf, normal_sf
-from truenewton.errors import Fault, NotConverged, RankDeficient, TooManyOutliers, TrueNewtonError
-from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.errors import Fault, NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.findings.catalogue import ENTRIES, ORDER_OF_BOTH
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.findings.finding import MAX_NAMED_ACTUATORS, Finding, about_actuators
 from truenewton.estimation.likelihood import Minimum
-from truenewton.estimation.matrix.couplings import MIN_JUDGED_ACTUATORS, misplaced, projected
-from truenewton.estimation.paper.identifiability import centred_means, refuse
-from truenewton.estimation.problem import Problem, roughly_scaled
+from truenewton.estimation.paper.identifiability import refuse
+from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, Noise
 from truenewton.estimation.readings.rows import WEIGHED_NOISE, is_displaced
 from truenewton.estimation.screening.hypotheses import squared_differences
@@ -51,7 +40,6 @@ from truenewton.estimation.screening.screen import ScreenedCampaign, still_senso
 from truenewton.linalg import ROWS_AT_ONCE, assignment, asymmetry
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.rounding import named
-from truenewton.statics.arms import arms_in_units_of_rms
 
 MIN_VARIANCE_RATIO = 100.0  # variance of a typical reading over shapes, in units of its noise
 MIN_RELATIVE_CHANGE = 0.03  # of a typical change, if the noise is unknown
@@ -61,12 +49,6 @@ WELL_KNOWN_ERROR = 0.1  # error of an alpha relative to the typical alpha
 MIN_SHAPE_ASYMMETRY = 0.2  # asymmetry of the stiffness relative to its size
 MAX_REMAINING_ASYMMETRY = 0.5  # of it, in the better order
 MIN_LOG_GAIN_OF_ORDER = np.log(1.5)  # mean gain of the elements in a better order
-
-MIN_SHAPE_TO_NOISE = 2.0  # weakest elastic shape in units of its noise
-HOME_SPACING_FRACTION = 0.1  # of the spacing of the actuators: nearer, they are at their positions
-MIN_DISTANCE_RATIO = 3.0  # distance from its own position relative to the typical residual
-MAX_ALPHA_FACTOR = 10.0  # between the alphas of a valid fit
-MAX_CHI2_RATIO = 0.25  # of chi^2, if the noise is unknown
 
 MIN_SCATTER_RATIO = 1.5  # reported scatter of the repeats, in units of FORCERR
 MAX_DAYS_APART = 30.0  # days without a file, in one campaign
@@ -91,7 +73,7 @@ class InputChecks:
         return (*self.files, *self.actuators, *self.columns)
 
     def where_nothing_balances(self, problem: Problem, moments: Moments) -> InputChecks:
-        """Return these, with files in two groups, or columns that balance if exchanged.
+        """Return these, with files in two groups, or columns that are the same.
 
         A dead actuator explains the imbalance alone.
         """
@@ -99,8 +81,7 @@ class InputChecks:
             return self
         if self.unlike:
             return replace(self, files=self.files + self.unlike, unlike=())
-        columns = same_columns(problem, moments) or exchanged_columns(problem, moments)
-        return replace(self, columns=columns or self.columns)
+        return replace(self, columns=same_columns(problem, moments) or self.columns)
 
 
 def check_inputs(screened: ScreenedCampaign, problem: Problem) -> InputChecks:
@@ -252,151 +233,6 @@ def same_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]:
         about_actuators(problem.campaign.layout, Code.SAME_READINGS, [i, j])
         for i, j in np.argwhere(np.triu(same, 1)).tolist()
     )
-
-
-def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]:
-    """Name actuators at other positions, or whose columns of FORCE are exchanged.
-
-    Only if the balance is bad as they are, and good or far better otherwise. ``moments`` has all
-    groups, also those that do not balance.
-    """
-    (probability, chi2), layout = _fit(problem, moments), problem.campaign.layout
-    unknown = problem.noise.source == NoiseSource.MINIMUM
-    if not unknown and probability > LIMITS.fit_probability:
-        return ()  # single rows lie far, no more
-    seen = _homogeneous(problem, moments)
-    if seen is None:
-        return ()
-    elsewhere = misplaced(seen, problem.a) if problem.n >= MIN_JUDGED_ACTUATORS else {}
-    places = problem.a.copy()
-    for i, place in elsewhere.items():
-        places[1:, i] = place
-    if elsewhere and _fit(problem, moments, places)[1] <= MAX_CHI2_RATIO * chi2:
-        return tuple(
-            about_actuators(
-                layout,
-                Code.MISPLACED_ACTUATOR,
-                [i],
-                f"{{}}, about x = {x:.3g}, y = {y:.3g} m",
-                probability=probability,
-                size=float(np.hypot(x - problem.a[1, i], y - problem.a[2, i])),
-                unit="m",
-            )
-            for i, (x, y) in elsewhere.items()
-        )
-    for order in seen_orders(problem, seen):
-        moved, places = np.flatnonzero(order != np.arange(problem.n)), problem.a[:, order]
-        if not moved.size:
-            continue
-        there = _fit(problem, moments, places)
-        if there[1] < MAX_CHI2_RATIO * chi2 if unknown else there[0] > LIMITS.fit_probability:
-            remedy = "command one of them alone: if another responds, exchange the cables and"
-            remedy += " measure again; otherwise exchange the columns of FORCE"
-            few = moved.size <= MAX_NAMED_ACTUATORS
-            found = about_actuators(
-                layout,
-                Code.EXCHANGED_COLUMNS if few else Code.OTHER_ORDER,
-                moved,
-                many="columns",
-                detail="FORCE",
-                probability=probability,
-                size=float(np.hypot(*(places - problem.a)[1:]).max()),
-                unit="m",
-                remedy=remedy,
-            )
-            return (found,)
-    return ()
-
-
-def _fit(problem: Problem, moments: Moments, places: Array | None = None) -> tuple[float, float]:
-    """Return the probability of the balance, and chi^2; 0 and infinite if the fit fails.
-
-    With actuators at the (3, n) arms ``places``, if given.
-    """
-    if places is not None:
-        problem = replace(problem, moved=problem.moved + (places - problem.a))
-    try:
-        scaled = roughly_scaled(problem, moments)
-        minimum = scaled.fitted(moments)
-    except (TrueNewtonError, np.linalg.LinAlgError):
-        return 0.0, np.inf
-    alpha = np.maximum(np.abs(minimum.values[: problem.n]), 1e-300)
-    if np.ptp(np.log(alpha)) > np.log(MAX_ALPHA_FACTOR):  # a fit of forces that vanish
-        return 0.0, np.inf
-    chi2 = minimum.chi2 * float(scaled.noise.variance.mean() / problem.noise.variance.mean())
-    return chi2_probability(chi2, problem.degrees_of_freedom(moments), problem.noise), chi2
-
-
-def seen_orders(problem: Problem, seen: Array) -> Iterator[NDArray[np.int64]]:
-    """Yield (n,) the actuator at whose position each one acts, itself unless clearly another.
-
-    First with most at their own position; then the order that fits the layout best.
-    """
-    arms = arms_in_units_of_rms(problem.campaign.layout)
-    places, itself = (arms[1:] / arms[0]).T, np.arange(problem.n)
-    distance, order = _settled(seen, arms, itself)
-    own, best = distance[itself, itself], distance[itself, order]
-    clear = (order != itself) & (own > MIN_DISTANCE_RATIO * np.median(best))
-    if clear[order[clear]].all():  # else a circle is not closed
-        yield np.where(clear, order, itself)
-    yield order
-    spacing = np.sort(np.linalg.norm(places[:, None] - places, axis=2), axis=1)[:, 1]
-    at_home = np.median(own) < HOME_SPACING_FRACTION * np.median(spacing)
-    if at_home or problem.noise.source == NoiseSource.MINIMUM:  # nothing tells whether that fits
-        return
-    answers = []
-    for start in _turned(seen, places):
-        distance, order = _settled(seen, arms, start)
-        answers.append((float(np.median(distance[itself, order])), order))
-    least = min(size for size, _ in answers)
-    alike = [order for size, order in answers if size <= 2.0 * least]
-    yield max(alike, key=lambda order: np.count_nonzero(order == itself))
-
-
-def _settled(seen: Array, arms: Array, order: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Return (n, n) distances of inferred positions from positions, and the order that results."""
-    places = (arms[1:] / arms[0]).T
-    for _ in range(10):
-        # All positions beyond 10 times the rms coordinate are equally bad.
-        distance = np.linalg.norm(projected(seen, arms[:, order])[:, None] - places, axis=2)
-        before, order = order, assignment(np.minimum(distance, 10.0) ** 2)
-        if np.array_equal(order, before):
-            break
-    return distance, order
-
-
-def _turned(seen: Array, places: Array) -> Iterator[NDArray[np.int64]]:
-    """Yield orders in which the inferred positions, turned or mirrored as a whole, fit best.
-
-    If alpha were the same for all, (n, 2) positions would be (3, n) ``seen`` in a linear map, and a
-    rotation once both have unit moments.
-    """
-    flat = np.linalg.lstsq(seen.T, np.ones(len(places)), rcond=None)[0] @ seen
-    whole = np.linalg.svd(seen / flat)[2]  # one row of its span is that of ones
-    across = scipy.linalg.null_space(np.ones((1, len(places))) @ whole[:3].T).T @ whole[:3]
-    of_places = np.linalg.svd((places - places.mean(axis=0)).T, full_matrices=False)[2].T
-    tree, turns = scipy.spatial.cKDTree(of_places), []
-    for angle in np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False):
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        for mirror in (1.0, -1.0):
-            turned = (turn @ (across * np.array([[1.0], [mirror]]))).T
-            turns.append((float(np.mean(tree.query(turned)[0] ** 2)), turned))
-    turns.sort(key=lambda one: one[0])
-    for _, turned in turns[:4]:
-        yield assignment(np.linalg.norm(turned[:, None] - of_places, axis=2) ** 2)
-
-
-def _homogeneous(problem: Problem, moments: Moments) -> Array | None:
-    """Return (3, n) T A diag(alpha), with some (3, 3) T; None if more directions are noise."""
-    sigma = np.sqrt(problem.noise.variance)
-    centred = centred_means(moments) / sigma
-    values, vectors = scipy.linalg.eigh(centred.T @ centred, subset_by_index=(0, 3))
-    noise = max(float(values[:3].mean()), 1e-13 * float(np.sum(centred**2)))
-    if problem.noise.source != NoiseSource.MINIMUM:
-        noise = max(noise, float(len(centred)))
-    if values[3] < MIN_SHAPE_TO_NOISE * noise:
-        return None
-    return np.asarray((vectors[:, :3] / sigma[:, None]).T)
 
 
 def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Finding]:

@@ -16,7 +16,6 @@ from truenewton.figures.maps import (
     draw_dots,
     draw_frame,
     name_outside,
-    name_segments,
 )
 from truenewton.figures.style import (
     ALARM,
@@ -159,7 +158,6 @@ class Layer:
                 self._write_names(ax, layout, dots, annotate=annotate)
             else:
                 name_outside(ax, layout, self.outliers)
-            name_segments(ax, layout)
         return ax
 
     def _write_names(

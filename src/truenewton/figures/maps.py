@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.figures.style import ALARM, BY_RING, FAINT, INK, MILLIMETRE, NAMED, styled_axes
-from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
+from truenewton.statics.layout import Layout, ring_centre, ring_of
 
 NUMBER = 0.045  # half the height of a segment's number, over the mirror's radius
 MIN_DOT = 0.02  # radius of a dot with room for three digits, over the width of the mirror
@@ -22,8 +22,8 @@ MIN_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, 
 
 
 def numbers_by_ring(layout: Layout) -> NDArray[np.int64]:
-    """Return (n,) numbers of the actuators from 1, ring by ring outward, or segment by segment."""
-    return np.argsort(np.argsort(group_of(layout), kind="stable")) + 1
+    """Return (n,) numbers of the actuators from 1, ring by ring outward."""
+    return np.argsort(np.argsort(ring_of(layout), kind="stable")) + 1
 
 
 def names_by_ring(layout: Layout) -> dict[int, str]:
@@ -36,13 +36,11 @@ def names_by_ring(layout: Layout) -> dict[int, str]:
 
 def ring_edges(layout: Layout) -> Array:
     """Return (rings - 1,) positions between rings on an axis of actuators numbered ring by ring."""
-    return np.asarray(np.cumsum(np.bincount(group_of(layout)))[:-1] + 0.5)
+    return np.asarray(np.cumsum(np.bincount(ring_of(layout)))[:-1] + 0.5)
 
 
 def ring_label(layout: Layout) -> str:
     """Return the label of an axis of actuators numbered ring by ring."""
-    if layout.segments:
-        return "actuator, segment by segment"
     return "actuator, ring by ring from the centre" if ring_edges(layout).size else "actuator"
 
 
@@ -61,23 +59,21 @@ def mark_rings(ax: Axes, layout: Layout) -> None:
         ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
     rings = ring_names(layout) if layout.n >= BY_RING else {}
     if rings:
-        kind = group_name(layout)
-        ax.set_xticks(list(rings), [name.removeprefix(f"{kind} ") for name in rings.values()])
+        ax.set_xticks(list(rings), [name.removeprefix("ring ") for name in rings.values()])
         ax.tick_params(axis="x", length=0)
     elif names := names_by_ring(layout):
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda place, _: names.get(round(place), "")))
-    ax.set_xlabel(f"{kind}, one point for each actuator" if rings else ring_label(layout))
+    ax.set_xlabel("ring, one point for each actuator" if rings else ring_label(layout))
 
 
 def ring_names(layout: Layout) -> dict[float, str]:
-    """Return the names of rings or segments by their middle on an axis, if there is room."""
-    counts, kind = np.bincount(group_of(layout)), group_name(layout)
-    names = layout.segments or tuple(range(1, counts.size + 1))
+    """Return the names of rings by their middle on an axis, if there is room."""
+    counts = np.bincount(ring_of(layout))
     middles = np.cumsum(counts) - 0.5 * (counts - 1)
     return {
-        float(middle): f"{kind} {ring}" if count >= WIDE_RING * layout.n else str(ring)
-        for ring, count, middle in zip(names, counts, middles, strict=True)
+        float(middle): f"ring {ring}" if count >= WIDE_RING * layout.n else str(ring)
+        for ring, (count, middle) in enumerate(zip(counts, middles, strict=True), 1)
         if counts.size > 1 and count >= MIN_RING * layout.n
     }
 

@@ -6,7 +6,7 @@ import datetime
 import math
 import warnings
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 import astropy.units as u
@@ -49,8 +49,6 @@ class FitsFile:
     header: Mapping[str, Any]  # the primary header
     # By upper-case EXTNAME, the image of the primary HDU as PRIMARY. An error is raised on use.
     extensions: Mapping[str, Table | Image | TrueNewtonError]
-    # The extensions of each EXTVER as a file, with the header of the first of them.
-    versions: Mapping[int, FitsFile] = field(default_factory=dict)
 
     def filled(self, kind: type[Record], values: dict[str, Any]) -> Record:
         """Return a record filled from `values`; its errors name the file."""

@@ -13,7 +13,7 @@ import math
 import os
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from io import BufferedIOBase, BufferedReader
 from typing import Any
 
@@ -74,8 +74,8 @@ def _read(path: str) -> FitsFile:
                     _verify_checksums(stream, hdu)
                 refuse_doubles(hdus[0].header.keys(), "keywords")
                 plain = _plain(hdus[0].header)
-                extensions, versions = _extensions(hdus, path)
-                return FitsFile(path, digest.hexdigest(), plain, extensions, versions)
+                extensions = _extensions(hdus, path)
+                return FitsFile(path, digest.hexdigest(), plain, extensions)
     except (UnreadableFile, FormatError):
         raise
     except Exception as error:
@@ -196,30 +196,18 @@ def _plain(header: Any) -> dict[str, Any]:
 Extensions = dict[str, Table | Image | TrueNewtonError]
 
 
-def _extensions(hdus: Any, path: str) -> tuple[Extensions, dict[int, FitsFile]]:
-    """Copy everything out of open HDUs, and once more those of each EXTVER as a file of their own.
-
-    What is wrong with an extension waits until asked for.
-    """
+def _extensions(hdus: Any, path: str) -> Extensions:
+    """Copy everything out of open HDUs; what is wrong with an extension waits until asked for."""
     extensions: Extensions = {}
-    versions: dict[int, tuple[dict[str, Any], Extensions]] = {}
     if hdus[0].data is not None and hdus[0].is_image:
         extensions[PRIMARY] = Image(_native(hdus[0].data), str(hdus[0].header.get("BUNIT", "")))
     for hdu in hdus[1:]:
-        name, twins, version = str(hdu.name).upper(), [extensions], hdu.header.get("EXTVER")
-        if isinstance(version, int):
-            twins.append(versions.setdefault(version, (_plain(hdu.header), {}))[1])
-        double = FormatError(f"there are two {name}", remedy="keep one", path=path)
-        new = [each for each in twins if name not in each]
-        held = _held(hdu, name, path) if new else None
-        for each in twins:
-            if each not in new:
-                each[name] = double
-            elif held is not None:
-                each[name] = held
-    return extensions, {
-        version: FitsFile(path, "", header, own) for version, (header, own) in versions.items()
-    }
+        name = str(hdu.name).upper()
+        if name in extensions:
+            extensions[name] = FormatError(f"there are two {name}", remedy="keep one", path=path)
+        elif (held := _held(hdu, name, path)) is not None:
+            extensions[name] = held
+    return extensions
 
 
 def _held(hdu: Any, name: str, path: str) -> Table | Image | TrueNewtonError | None:
@@ -273,16 +261,10 @@ def write_fits(
     form: FileFormat,
     record: Any,
     *,
-    versions: Mapping[int, Any] | None = None,
-    of_version: FileFormat | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a record in a format, with checksums; gzipped if the name of the file ends in .gz.
-
-    ``versions`` are more records by their EXTVER, all in the format ``of_version``; their keywords
-    are in the header of their first extension.
-    """
-    hdus = _hdus(record, form, versions or {}, of_version or form, path)
+    """Write a record in a format, with checksums; gzipped if the name of the file ends in .gz."""
+    hdus = _hdus(record, form, path)
     with file_beside(path, overwrite=overwrite) as temporary, temporary.open("wb") as file:
         if os.fspath(path).endswith(".gz"):
             with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed:
@@ -291,23 +273,25 @@ def write_fits(
             file.writelines(map(_bytes, hdus))
 
 
-def _hdus(
-    record: Any,
-    form: FileFormat,
-    versions: Mapping[int, Any],
-    of_version: FileFormat,
-    path: str | os.PathLike[str],
-) -> Iterator[Any]:
-    """Yield the header-data units of a file; each is in memory only while it is written."""
+def _hdus(record: Any, form: FileFormat, path: str | os.PathLike[str]) -> Iterator[Any]:
+    """Yield the header-data units of a file; each is in memory only while it is written.
+
+    Extensions that are optional and have nothing are left out.
+    """
     primary = fits.PrimaryHDU(None if form.matrix is None else _pixels(record, form.matrix))
-    _add_cards(primary, record, form, path)
+    for key, value, comment in header_of(record, form):
+        try:
+            primary.header.append(_card(key, value, comment), end=True)
+        except ValueError:
+            raise FormatError(
+                f"{key} is {value!r}",
+                remedy="use finite numbers and ASCII text, as a FITS header requires",
+                path=path,
+            ) from None
     yield primary
-    yield from _parts(record, form)
-    for version, one in versions.items():
-        for number, part in enumerate(_parts(one, of_version, version)):
-            if number == 0:
-                _add_cards(part, one, of_version, path)
-            yield part
+    for part in form.extensions:
+        if isinstance(part, ImageFormat) or not part.optional or value_of(record, part.of):
+            yield _hdu(record, part)
 
 
 def _bytes(hdu: Any) -> memoryview:
@@ -323,25 +307,6 @@ def _bytes(hdu: Any) -> memoryview:
     return whole.getbuffer()[0 if first else BLOCK :]
 
 
-def _parts(record: Any, form: FileFormat, version: int | None = None) -> Iterator[Any]:
-    """Yield the extensions of a record, but for those that are optional and have nothing."""
-    for part in form.extensions:
-        if isinstance(part, ImageFormat) or not part.optional or value_of(record, part.of):
-            yield _hdu(record, part, version)
-
-
-def _add_cards(hdu: Any, record: Any, form: FileFormat, path: str | os.PathLike[str]) -> None:
-    for key, value, comment in header_of(record, form):
-        try:
-            hdu.header.append(_card(key, value, comment), end=True)
-        except ValueError:
-            raise FormatError(
-                f"{key} is {value!r}",
-                remedy="use finite numbers and ASCII text, as a FITS header requires",
-                path=path,
-            ) from None
-
-
 def _card(key: str, value: Any, comment: str) -> Any:
     """Return a header card; astropy alone would cut a number to 20 characters."""
     if isinstance(value, float) and len(repr(float(value))) > 20:
@@ -350,15 +315,15 @@ def _card(key: str, value: Any, comment: str) -> Any:
     return fits.Card(key, value, comment)
 
 
-def _hdu(record: Any, extension: TableFormat | ImageFormat, version: int | None) -> Any:
+def _hdu(record: Any, extension: TableFormat | ImageFormat) -> Any:
     if isinstance(extension, TableFormat):
         columns = [
             fits.Column(name=name, format=form, unit=unit, array=values)
             for name, form, unit, values in columns_of(record, extension)
         ]
-        return fits.BinTableHDU.from_columns(columns, name=extension.name, ver=version)
+        return fits.BinTableHDU.from_columns(columns, name=extension.name)
     pixels = _pixels(record, extension.attribute)
-    hdu = fits.ImageHDU(pixels, name=extension.name, ver=version)
+    hdu = fits.ImageHDU(pixels, name=extension.name)
     if extension.unit:
         hdu.header["BUNIT"] = extension.unit
     return hdu

@@ -30,7 +30,6 @@ from truenewton.mirrors.shell.round_shell import MIN_HOLE
 from truenewton.mirrors.shell.shell_model import tool_wedges
 from truenewton.quantities import check_quantities, in_unit
 from truenewton.records.file import SUFFIXES, read_layout
-from truenewton.records.parts import require_segment
 from truenewton.rounding import counted, listed
 from truenewton.statics.layout import Layout, layout
 
@@ -95,7 +94,7 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
     if isinstance(whole, SegmentedMirror):
         raise FormatError(
             f"'{name}' is a mirror in segments",
-            remedy="give the file of one segment; `acquire` and `serve` accept --segment",
+            remedy="give the file of one segment; `acquire` accepts --segment",
         )
     return whole
 
@@ -105,8 +104,7 @@ def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Lay
     whole = whole_mirror_from(name)
     if not isinstance(whole, SegmentedMirror):
         raise FormatError(f"{whole.name} is in one piece", remedy="leave the segment out")
-    require_segment(number, whole.layout.segments)
-    chosen = np.asarray(whole.layout.segment) == number
+    chosen = whole.layout.in_segment(number)
     own = replace(whole.segments[number - 1], name=f"{whole.name} segment {number}")
     return own, whole.layout.part(chosen)
 

@@ -24,7 +24,6 @@ from truenewton.figures.style import (
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import Budget, ModalBase
 from truenewton.modal.summary import stiffness_text
-from truenewton.records.parts import Parts, by_number
 
 NANOMETRE = 1e-9
 MAPS_PER_ROW = 4
@@ -123,18 +122,13 @@ def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def modes_figures(
-    modes: ModalFindings | Parts[ModalFindings], limits: Budget
-) -> dict[str, Callable[..., Axes]]:
+def modes_figures(modes: ModalFindings, limits: Budget) -> dict[str, Callable[..., Axes]]:
     """Return the functions that draw the figures of the modal basis, by name."""
-    drawn: dict[str, Callable[..., Axes]] = {}
-    for number, one in by_number(modes).items():
-        of_it = f"segment-{number}-" if number else ""
-        drawn[f"{of_it}modes"] = partial(plot_modes, one.after)
-        if one.after.costs:
-            drawn[f"{of_it}modes-residual"] = partial(plot_residual, one.after)
-            if np.isfinite(one.after.costs[0].efficiency):
-                drawn[f"{of_it}modes-power"] = partial(plot_power, one.after, limits)
-        if one.compares:
-            drawn[f"{of_it}modes-comparison"] = partial(plot_comparison, one)
+    drawn: dict[str, Callable[..., Axes]] = {"modes": partial(plot_modes, modes.after)}
+    if modes.after.costs:
+        drawn["modes-residual"] = partial(plot_residual, modes.after)
+        if np.isfinite(modes.after.costs[0].efficiency):
+            drawn["modes-power"] = partial(plot_power, modes.after, limits)
+    if modes.compares:
+        drawn["modes-comparison"] = partial(plot_comparison, modes)
     return drawn

@@ -20,7 +20,6 @@ from truenewton.files.outputs import files_together
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
 from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
-from truenewton.records.parts import Parts, by_number
 from truenewton.records.stiffness_matrix import StiffnessMatrix, StoredAs
 
 
@@ -229,22 +228,15 @@ PLAIN = {
 BESIDE = ("true", "commanded", *PLAIN)
 
 
-def modes_paths(path: str | os.PathLike[str], number: int = 0) -> tuple[Path, ...]:
-    """Return the paths of all files of `write_modes`: the modal basis first.
-
-    The number of a segment precedes the ending.
-    """
+def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Return the paths of all files of `write_modes`: the modal basis first."""
     target = Path(path)
     stem = target.name.removesuffix(".gz").removesuffix(".fits")
-    ending = target.name.removeprefix(stem)
-    stem += f"-{number}" if number else ""
-    return tuple(
-        target.with_name(f"{stem}{end}") for end in (ending, *(f".{what}.fits" for what in BESIDE))
-    )
+    return (target, *(target.with_name(f"{stem}.{what}.fits") for what in BESIDE))
 
 
 def write_modes(
-    findings: ModalFindings | Parts[ModalFindings],
+    findings: ModalFindings,
     path: str | os.PathLike[str],
     limits: Budget | None = None,
     *,
@@ -262,7 +254,7 @@ def write_modes(
     findings
         From `find_modes`.
     path
-        MODES.fits; of several segments MODES-1.fits and so on.
+        MODES.fits.
     limits
         Of power and force; the number of modes within them is written, too, with turbulence.
     overwrite
@@ -280,20 +272,18 @@ def write_modes(
     >>> [file.name for file in files[:3]]
     ['modes.fits', 'modes.true.fits', 'modes.commanded.fits']
     """
-    if limits and not all(one.after.costs for one in by_number(findings).values()):
+    if limits and not findings.after.costs:
         raise FormatError("limits need turbulence", remedy="give find_modes a diameter")
-    paths = {number: modes_paths(path, number) for number in by_number(findings)}
-    every = [each for of_one in paths.values() for each in of_one]
-    with files_together(every, overwrite=overwrite) as folder:
-        for number, one in by_number(findings).items():
-            _write_into(folder, paths[number], one, limits or Budget())
-    return every
+    paths = modes_paths(path)
+    with files_together(paths, overwrite=overwrite) as folder:
+        _write_into(folder, paths, findings, limits or Budget())
+    return [*paths]
 
 
 def _write_into(
     folder: Path, paths: Sequence[Path], findings: ModalFindings, limits: Budget
 ) -> None:
-    """Write the modal basis of one body into a folder, under the names of the paths."""
+    """Write the modal basis into a folder, under the names of the paths."""
     base, stiffness, written = findings.after, findings.after.stiffness, _Written(findings, limits)
     acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     matrix = StiffnessMatrix(

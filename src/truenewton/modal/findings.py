@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +20,14 @@ from scipy.sparse.linalg import svds
 
 from truenewton.arrays import Array
 from truenewton.calibration.methods import (
-    Data,
-    Seen,
     calibrate,
     calibration_of,
     estimate_alpha,
     resolve_method,
-    seen_of,
 )
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import refusal_of, refuse_unusable
-from truenewton.calibration.workers import executor_for
-from truenewton.errors import CampaignMismatch, Fault, FormatError, RankDeficient
+from truenewton.errors import Fault, FormatError
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
@@ -50,9 +45,8 @@ from truenewton.modal.turbulence import Atmosphere, pupil_of, seen_turbulence
 from truenewton.quantities import taking_units
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
-from truenewton.records.parts import Executor, Parts, has_parts
+from truenewton.records.reader import Measured
 from truenewton.records.result import Summarised
-from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 MAX_PAIR_DIFFERENCE = 0.01  # relative, of the stiffness of two modes that are a pair
@@ -237,71 +231,51 @@ class ModalFindings(Summarised):
 
 @dataclass(frozen=True, eq=False)
 class _Request:
-    """The options of `find_modes`, of the whole mirror or of a segment."""
+    """The options of `find_modes`."""
 
     atmosphere: Atmosphere
     diameter: float | None
     radius: float | None
     efficiency: float | None
     sensor_gain: Array | None
-    motion: Any
+    motion: Array | None
     model: Array | None
     off: Sequence[int]
     slaved: Sequence[int]
     accept_rejected: bool
 
 
-@overload
-def find_modes(
-    data: Campaign | StiffnessMatrix, calibration: Calibration | None = None,
-    atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
-    radius: float | None = None, efficiency: float | None = None, sensor_gain: Array | None = None,
-    motion: Array | None = None, model: Array | None = None, off: Sequence[int] = (),
-    slaved: Sequence[int] = (), sums: MotionSums | None = None, accept_rejected: bool = False,
-    processes: int | None = None,
-) -> ModalFindings: ...  # fmt: skip
-@overload
-def find_modes(
-    data: Data, calibration: AnyCalibration | None = None,
-    atmosphere: Atmosphere | None = None, *, diameter: float | None = None,
-    radius: float | None = None, efficiency: float | None = None, sensor_gain: Array | None = None,
-    motion: Seen | None = None, model: Array | None = None, off: Sequence[int] = (),
-    slaved: Sequence[int] = (), sums: MotionSums | None = None, accept_rejected: bool = False,
-    processes: int | None = None,
-) -> ModalFindings | Parts[ModalFindings]: ...  # fmt: skip
 @taking_units(diameter="m", radius="m", efficiency="N W(-1/2)", sensor_gain="")
 def find_modes(
-    data: Data,
-    calibration: AnyCalibration | None = None,
+    data: Measured,
+    calibration: Calibration | None = None,
     atmosphere: Atmosphere | None = None,
     *,
     diameter: float | None = None,
     radius: float | None = None,
     efficiency: float | None = None,
     sensor_gain: Array | None = None,
-    motion: Seen | None = None,
+    motion: Array | None = None,
     model: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     sums: MotionSums | None = None,
     accept_rejected: bool = False,
-    processes: int | None = None,
-) -> ModalFindings | Parts[ModalFindings]:
+) -> ModalFindings:
     """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
 
     Parameters
     ----------
     data
-        Cycles with POSITION, or a measured stiffness, which takes precedence over cycles. Each of
-        several segments has modes of its own.
+        Cycles with POSITION, or a measured stiffness, which takes precedence over cycles.
     calibration
-        The source of alpha, of all segments if the data are; by default the data are calibrated.
+        The source of alpha; by default the data are calibrated.
     atmosphere
         The turbulence; by default with 0.8 arcsec. Left out without a diameter.
     diameter, radius
         Of the entrance pupil of the telescope, and of the mirror that fills it [m]; the radius is
-        by default that of the outermost actuator plus half a spacing. Each segment fills its part
-        of the pupil, seen from its own middle.
+        by default that of the outermost actuator plus half a spacing. A segment is seen from its
+        own middle, and the diameter is that of the part of the pupil that it fills.
     efficiency
         Commanded force per root of power [N/W^1/2]; without it powers are NaN.
     sensor_gain, motion, off, slaved
@@ -312,8 +286,6 @@ def find_modes(
         Those of force and displacement, from `motion_sums`; by default they are made.
     accept_rejected
         Accept an alpha whose verdict is 'rejected'.
-    processes
-        As of `calibrate`.
 
     Raises
     ------
@@ -342,23 +314,16 @@ def find_modes(
         atmosphere or Atmosphere(), diameter, radius, efficiency, sensor_gain, motion,
         model, off, slaved, accept_rejected,
     )  # fmt: skip
-    if has_parts(data) and (calibration is None or has_parts(calibration)):
-        return _of_segments(data, calibration, request, executor_for(data.layout, processes))
-    if has_parts(data) or has_parts(calibration):
-        raise CampaignMismatch(
-            "of data and calibration one is of several segments, the other of one body",
-            remedy="choose the segment: --segment, or part(...) in Python",
-        )
     return _of_body(data, calibration, request, sums)
 
 
 def _of_body(
-    data: Campaign | StiffnessMatrix,
+    data: Measured,
     calibration: Calibration | None,
     request: _Request,
     sums: MotionSums | None = None,
 ) -> ModalFindings:
-    """Find the modes of one body."""
+    """Find the modes, as asked for."""
     if calibration is not None:
         refuse_unusable(calibration, accept_rejected=request.accept_rejected)
     matrix, measured, calibration, sums = _with_alpha(data, calibration, sums, request.motion)
@@ -401,46 +366,6 @@ def _of_body(
         (faults[0], stiffness.asymmetry), (faults[1], stiffness.imbalance),
         tuple(fault for fault, _ in doubts), _sources(sums, matrix),
     )  # fmt: skip
-
-
-def _of_segments(
-    data: SegmentedData,
-    calibration: Parts[Calibration] | None,
-    request: _Request,
-    executor: Executor | None,
-) -> Parts[ModalFindings]:
-    """Find the modes of each segment by itself."""
-    layout = data.layout
-    apart = "" if calibration is None else calibration.layout.other_actuators(layout)
-    if apart:
-        raise CampaignMismatch(
-            f"data and calibration are of two mirrors: {apart}",
-            remedy="give both of the same mirror",
-        )
-    pupil = None
-    if request.diameter is not None:
-        pupil = pupil_of(layout, request.diameter, request.radius)
-    layout.ids_of((*request.off, *request.slaved))
-
-    def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
-        if calibration is not None and number in calibration.failed:
-            fault, remedy = calibration.failed[number][0]
-            raise RankDeficient(fault, remedy=remedy)
-        here, gain = data.of(number), request.sensor_gain
-        own, diameter = None, None
-        if pupil is not None:
-            own = pupil_of(layout.part(here), pupil.diameter).radius
-            diameter = pupil.diameter * own / pupil.radius
-        of_segment = replace(
-            request, radius=own, diameter=diameter,
-            motion=seen_of(request.motion, layout, number), model=None,
-            sensor_gain=None if gain is None else gain[here],
-            off=data.own(number, request.off), slaved=data.own(number, request.slaved),
-        )  # fmt: skip
-        own_alpha = None if calibration is None else calibration.part(number)
-        return partial(_of_body, calibration=own_alpha, request=of_segment)
-
-    return data.solved(solver, "modes", executor)
 
 
 def _uncalibrated(

@@ -14,7 +14,6 @@ from truenewton.files.values import Values
 from truenewton.modal.findings import ModalFindings, ModesComparison
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import SUMMARIES, Budget, Dissipation, ModalBase
-from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.records.result import Summary, summary_of
 from truenewton.rounding import counted, percent, row, significant, table_lines
 
@@ -134,9 +133,7 @@ def headline(findings: ModalFindings) -> str:
 
 
 @summary_of.register(ModalFindings)
-def _summary(findings: ModalFindings | Parts[ModalFindings]) -> Summary | None:
-    if has_parts(findings):
-        return None
+def _summary(findings: ModalFindings) -> Summary:
     rows = [row for row in summary_rows(findings) if row[1]]
     rows.append(("verdict on alpha", str(findings.calibration.verdict)))
     return Summary(headline(findings), rows, warning_lines(findings.warnings))
@@ -169,13 +166,8 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> list[str]:
-    """Return the lines of the summary, of several segments one after the other."""
-    if has_parts(findings):
-        of_each = {number: lines(one, limits) for number, one in findings.found.items()}
-        for number, fault, remedy in findings.failures:
-            of_each[number] = [f"segment {number}: no modes: {fault}; {remedy}"]
-        return [line for number in findings.numbers for line in of_each[number]]
+def lines(findings: ModalFindings, limits: Budget) -> list[str]:
+    """Return the lines of the summary."""
     return [
         headline(findings),
         *(row(name, text) for name, text in summary_rows(findings) if text and name not in DETAILS),
@@ -185,13 +177,11 @@ def lines(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> lis
     ]
 
 
-def detail_lines(findings: ModalFindings | Parts[ModalFindings]) -> Iterator[str]:
-    """Yield the other rows, and the table of the number of modes, segment by segment."""
-    for number, one in by_number(findings).items():
-        if number:
-            yield f"segment {number}"
-        yield from (row(name, text) for name, text in summary_rows(one) if text and name in DETAILS)
-        yield from _table(one.after) if one.after.costs else ()
+def detail_lines(findings: ModalFindings) -> Iterator[str]:
+    """Yield the other rows, and the table of the number of modes."""
+    rows = summary_rows(findings)
+    yield from (row(name, text) for name, text in rows if text and name in DETAILS)
+    yield from _table(findings.after) if findings.after.costs else ()
 
 
 def _table(base: ModalBase) -> Iterator[str]:
@@ -267,11 +257,8 @@ MEASURED = Values(
 )  # fmt: skip
 
 
-def values(findings: ModalFindings | Parts[ModalFindings], limits: Budget) -> dict[str, Any]:
+def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
     """Return the values for a script."""
-    if has_parts(findings):
-        failed = lambda faults: {"fault": faults[0]._asdict()}  # noqa: E731
-        return {"segments": findings.values(lambda one: values(one, limits), failed)}
     bases = [
         {
             "base": cost.base,

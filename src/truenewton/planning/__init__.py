@@ -2,7 +2,7 @@
 
 forces           forces, stroke and gap of a plan
 prediction       errors of alpha and of the sensors from noiseless forces
-plan_prediction  errors and time of a plan, a third load, changes that reach a target
+plan_prediction  errors and time of a plan, changes that reach a target
 figures          error against cycles and added weight
 summary          text for the terminal, values for scripts
 """

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truenewton.acquisition.load_order import with_turns
 from truenewton.acquisition.plan import (
     CampaignPlan,
     expected_alpha,
@@ -30,7 +29,6 @@ from truenewton.statics.load import LIKELY_COIL_SHIFT, leaning
 class Prepared:
     """A plan with the forces that the model of the shell gives."""
 
-    # the plan with its number of turns, and the mirror
     plan: CampaignPlan
     mirror: Mirror
     glass: ShellModel  # the shell model with the enabled actuators
@@ -84,7 +82,6 @@ def _prepared(plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str]
     plan = replace(plan, loads=loads)
     glass = model_glass(mirror)
     shapes, force, given = shapes_and_forces(plan, mirror, folder, glass)
-    plan = with_turns(plan, mirror, len(shapes))
     return Prepared(plan, mirror, glass, shapes, force, *holding(glass), given)
 
 

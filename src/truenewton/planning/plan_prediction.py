@@ -1,4 +1,4 @@
-"""The prediction of a plan: errors, time, a third load, and changes that reach a target.
+"""The prediction of a plan: errors, time, and changes that reach a target.
 
 The errors are those of `prediction`, for the forces that the shell model predicts.
 """
@@ -15,14 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.acquisition.load_order import (
-    OrderCost,
-    mounting_variance,
-    mountings,
-    order_cost,
-    order_costs,
-    scale_balance,
-)
+from truenewton.acquisition.load_order import mountings
 from truenewton.acquisition.plan import CampaignPlan, expected_alpha, read_plan
 from truenewton.arrays import Array
 from truenewton.errors import LimitExceeded, RankDeficient, TrueNewtonError, located
@@ -50,7 +43,6 @@ from truenewton.progress import report_progress, with_progress
 from truenewton.rounding import counted
 from truenewton.statics.load import LIKELY_COIL_SHIFT, Load
 
-DETECTION_SIGMAS = 3.0  # of an error of a load that a third load shows
 MAX_CYCLES = 999
 FACTORS = 1.0 + 0.1 * np.arange(1, 191)  # 1.1 to 20 times as much
 MAX_TILT, TILT_ERROR = 60, 0.1  # of a mirror that is leaned by hand [deg, guess]
@@ -115,63 +107,6 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
     return WithSensors(planned, gain, np.asarray(np.hypot(x, y) / np.sqrt(2)), curve)
 
 
-@dataclass(frozen=True)
-class ThirdLoad:
-    """What a third load would show that two cannot, and its cost.
-
-    With two loads, the scale and the bias magnets fit any sums of the forces. With three, one
-    equation is left, v'(S + W / s) = 0 with v orthogonal to S and to 1: a wrong weight violates it,
-    and so does anything that carries part of the weight. The third load is as heavy and as well
-    known as the one that gives the scale.
-    """
-
-    like: str  # name of the load that it equals, and whose errors it shows
-    # smallest detectable error of that load, or part of it carried by something else [N]
-    seen: float
-    # the same relative to the difference between the loads: the undetected error of the scale
-    relative: float
-    # additional time [s] and mountings
-    duration: float
-    mountings: int
-    # of the scale with and without it, drift and mounting included
-    error: float
-    error_now: float
-
-
-def third_load(ready: Prepared) -> ThirdLoad | None:
-    """Return what a third load would show; None if there are three, or no scale."""
-    plan, mirror, shapes = ready.plan, ready.mirror, len(ready.shapes)
-    now = order_cost(plan, mirror, shapes)
-    balance = scale_balance(plan, mirror, shapes)
-    if now is None or balance is None or len(np.unique(balance.held)) > 2:
-        return None
-    apart = np.abs(balance.held - balance.held[0])
-    watched = int(apart.argmax())
-    like = plan.loads[watched]
-    taken = {load.key for load in plan.loads}
-    name = next(name for k in range(len(taken) + 1) if (name := f"third{k or ''}") not in taken)
-    wider = replace(plan, loads=(*plan.loads, replace(like, name=name, tool=None)))
-    then, with_it = order_cost(wider, mirror, shapes), scale_balance(wider, mirror, shapes)
-    if then is None or with_it is None:
-        return None
-    # Residual of least squares for a step in the sum of one load.
-    design = np.column_stack([with_it.held, np.ones_like(with_it.held)])
-    moved = np.diag(mounting_variance(wider, with_it))
-    inverse = np.linalg.inv(with_it.covariance + moved)
-    step = np.eye(len(wider.loads))[watched]
-    fitted = design @ np.linalg.solve(design.T @ inverse @ design, design.T @ inverse @ step)
-    seen = DETECTION_SIGMAS / float(np.sqrt(step @ inverse @ (step - fitted)))
-    return ThirdLoad(
-        like=like.name,
-        seen=seen,
-        relative=seen / float(apart[watched]),
-        duration=then.duration - now.duration,
-        mountings=then.changes - now.changes,
-        error=then.error,
-        error_now=now.error,
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class PlanPrediction:
     """All that is predicted of a plan."""
@@ -185,10 +120,6 @@ class PlanPrediction:
     against_cycles: Curve
     against_weight: Curve
     warnings: tuple[Finding, ...]  # each with its remedy
-    # cost of each number of turns, one first; empty if the scale is free
-    orders: tuple[OrderCost, ...]
-    # what a third load would show; None if there are three, or no scale
-    third_load: ThirdLoad | None
     reciprocity: WithSensors  # what reciprocity will give
 
 
@@ -247,8 +178,6 @@ def predict_prepared(ready: Prepared) -> PlanPrediction:
         _curve(cycles, by_cycles),
         _curve(*_by_weight(ready)),
         warnings,
-        order_costs(ready.plan, ready.mirror, len(ready.shapes)),
-        third_load(ready),
         sensors,
     )
 

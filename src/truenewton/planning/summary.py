@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 from itertools import starmap
 from typing import Any
 
 import numpy as np
 
-from truenewton.acquisition.load_order import (
-    Mounting,
-    OrderCost,
-    mountings,
-    reading_time,
-    turns_that_pay,
-    without_remounting,
-)
+from truenewton.acquisition.load_order import Mounting, mountings, reading_time
 from truenewton.acquisition.taker import POSITION_SIGMAS, POSITION_TOLERANCE
 from truenewton.calibration.summary import warning_lines
 from truenewton.estimation.findings.estimate import scale_budget
 from truenewton.files.values import Values
 from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction, WithSensors
 from truenewton.planning.prediction import Prediction
-from truenewton.rounding import counted, percent, row, table_lines
+from truenewton.rounding import counted, percent, row
 
 
 def lines(outcome: PlanPrediction) -> Iterator[str]:
-    """Yield the errors, the time, what is near its limit, the order of the loads, and advice."""
+    """Yield the errors, the time, what is near its limit, and the order of the loads."""
     ready, strain, prediction = outcome.ready, outcome.strain, outcome.prediction
     plan, limits = ready.plan, ready.plan.limits
     relative, shapes = prediction.error / prediction.alpha, len(ready.shapes)
@@ -68,15 +60,6 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
         ", ".join(map(str, order)),
         f"cycles of each load; turns = {plan.turns}",
     )
-    if len(outcome.orders) > 1:
-        yield _turns_line(outcome)
-    if (third := outcome.third_load) is not None:
-        yield (
-            f"  advice: Add a third load with the weight of '{third.like}' and an independent"
-            f" uncertainty. The scale error, drift included, decreases from"
-            f" {percent(third.error_now)} to {percent(third.error)}. An error of"
-            f" {1e3 * third.seen:.2g} mN in '{third.like}' can then be detected."
-        )
     yield from warning_lines(outcome.warnings)
 
 
@@ -94,7 +77,10 @@ def detail_lines(outcome: PlanPrediction) -> Iterator[str]:
               f"actuator {strain.actuator}, if its alpha is {lowest:g}")  # fmt: skip
     yield row("time of one reading", f"{1e3 * reading_time(ready.plan):.3g} ms")
     yield from _reciprocity_lines(outcome)
-    yield from _order_lines(outcome)
+    order = mountings(ready.plan, len(ready.shapes))
+    if len(order) > 1:
+        changes = (f"'{each.load.name}' at {_time(each.start)}" for each in order[1:])
+        yield row("load changes end", ", ".join(changes))
     yield "  typical errors of alpha by number of cycles, and by added weight:"
     yield from _table("cycles", outcome.against_cycles)
     if outcome.reciprocity.planned is not None:
@@ -141,50 +127,6 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
         rows.append(("sensor offsets", typical_offset, note))
     for name, value, note in rows:
         yield row(f"  {name}", value, note)
-
-
-def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
-    """Yield the times of the load changes, what each order costs, and the time of a third load."""
-    plan, drift = outcome.ready.plan, outcome.ready.plan.drift
-    order = mountings(plan, len(outcome.ready.shapes))
-    if len(order) > 1:
-        changes = (f"'{each.load.name}' at {_time(each.start)}" for each in order[1:])
-        yield row("load changes end", ", ".join(changes))
-    if len(outcome.orders) > 1:
-        title = (
-            f"  scale error by number of turns (drift per hour: alpha {percent(drift.alpha)},"
-            f" zeros {1e6 * drift.zero:.3g} uN; mounting: {1e6 * drift.remounting:.3g} uN):"
-        )
-        head = "turns", "alpha", "zeros", "mounting", "total", "time", ""
-        rows = (_order_cost(cost, plan.turns) for cost in outcome.orders)
-        yield from table_lines(title, head, *rows)
-    if (third := outcome.third_load) is not None:
-        yield row("third load", f"{_time(third.duration)} more",
-                  f"{counted(third.mountings, 'load change')}; detects a {percent(third.relative)}"
-                  " scale error")  # fmt: skip
-
-
-def _order_cost(cost: OrderCost, planned: int) -> tuple[str, ...]:
-    """Return a number of turns, its errors of the scale, and its time."""
-    errors = abs(cost.gain), abs(cost.zero), cost.remounting, cost.error
-    taken = "planned" if cost.turns == planned else ""
-    return str(cost.turns), *map(percent, errors), _time(cost.duration), taken
-
-
-def _turns_line(outcome: PlanPrediction) -> str:
-    """Return the scale errors of most turns and of more cycles; advice if the plan is not best."""
-    ready, most = outcome.ready, outcome.orders[-1]
-    plan, mirror, shapes = ready.plan, ready.mirror, len(ready.shapes)
-    best = turns_that_pay(plan, mirror, shapes)
-    advice = "" if plan.turns == best else f"advice: Use turns = {best}. "
-    extra = counted(most.changes - outcome.orders[0].changes, "more load change")
-    longer = _time(most.duration - outcome.orders[0].duration)
-    return (
-        f"  {advice}{'Scale' if advice else 'scale'} error, drift included: {percent(most.error)}"
-        f" with turns = {most.turns} ({extra}, {longer}),"
-        f" {percent(without_remounting(plan, mirror, shapes, most))} with turns = 1"
-        " and more cycles in the same time."
-    )
 
 
 def _table(name: str, curve: Curve) -> Iterator[str]:
@@ -250,8 +192,7 @@ VALUES = Values(
     )),
     ("weakest", "prediction.diagnosis.weakest"),
     ("undetermined", "prediction.diagnosis.undetermined"), "duration", ("mountings", MOUNTINGS),
-    ("orders", Values(OrderCost, *(one.name for one in fields(OrderCost)), "error", path="orders")),
-    "third_load", ("largest_force", "strain.force"), ("actuator", "strain.actuator"),
+    ("largest_force", "strain.force"), ("actuator", "strain.actuator"),
     ("load", "strain.load"), ("force_at_worst", "strain.force_at_worst"),
     ("largest_stroke", "strain.stroke"), ("gap", "strain.gap"), ("curves", CURVES),
     ("warnings", "warnings.fault"),

@@ -8,11 +8,8 @@ the earlier scale stays common to all (`prior.shared_errors`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from operator import attrgetter
-from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +18,8 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.calibration.workers import executor_for
 from truenewton.chance import FALSE_ALARM, chance_of_any, t_sf
-from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
+from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.campaign_ml import estimate_of
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.estimate import (
@@ -33,18 +29,16 @@ from truenewton.estimation.findings.estimate import (
     scale_error_from_readings,
 )
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.likelihood import Minimum, minimise
+from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.estimation.paper.identifiability import geometry_fault, refuse
 from truenewton.estimation.problem import Problem, with_noise_from_minimum
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.reciprocity.campaign import mean_forces
 from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
 from truenewton.reading import Read, read
 from truenewton.recalibration.prior import (
     EARLIER,
     AnyKnown,
-    AnyReference,
     PriorCalibration,
     PriorResiduals,
     balancing,
@@ -52,17 +46,12 @@ from truenewton.recalibration.prior import (
     constrain,
     degrees_of,
     inverse_of,
-    known_for,
     prior_from,
     prior_residuals,
-    read_reference,
     run_from,
     shared_errors,
 )
-from truenewton.recalibration.reference import ratios, reference_from
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.parts import Parts, has_parts
-from truenewton.records.segmented import SegmentedData
 from truenewton.rounding import counted, percent
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
@@ -112,53 +101,25 @@ class Recalibration:
         return probability_of(self.chi2, self.degrees_of_freedom)
 
 
-@overload
-def recalibrate(
-    campaign: Campaign, known: AnyKnown, actuators: Sequence[int] = (), *,
-    reference: AnyReference | None = None, accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Recalibration: ...  # fmt: skip
-@overload
-def recalibrate(
-    campaign: SegmentedData, known: AnyKnown, actuators: Sequence[int] = (), *,
-    reference: AnyReference | None = None, accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Parts[Recalibration]: ...  # fmt: skip
-@overload
-def recalibrate(
-    campaign: Read | str | os.PathLike[str], known: AnyKnown, actuators: Sequence[int] = (), *,
-    reference: AnyReference | None = None, accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Recalibration | Parts[Recalibration]: ...  # fmt: skip
 def recalibrate(
     campaign: Read | str | os.PathLike[str],
     known: AnyKnown,
     actuators: Sequence[int] = (),
     *,
-    reference: AnyReference | None = None,
     accept_rejected: bool = False,
-    processes: int | None = None,
-) -> Recalibration | Parts[Recalibration]:
+) -> Recalibration:
     """Calibrate replaced actuators from a short run and an earlier calibration of the others.
 
     Parameters
     ----------
     campaign
-        The run after the replacement, or its path: one cycle under one load can suffice. In several
-        segments each is recalibrated by itself.
+        The run after the replacement, or its path: one cycle under one load can suffice.
     known
-        The earlier calibration, or the law of `track`, or a path to either; of all segments, or of
-        one.
+        The earlier calibration, or the law of `track`, or a path to either.
     actuators
         IDs of the actuators replaced; if empty, actuators that changed are found.
-    reference
-        A campaign with POSITION, or a stiffness matrix, from before the replacement, or its path.
-        Then the forces follow from the readings by the earlier stiffness except for what changed,
-        which is several times more precise. The run needs POSITION.
     accept_rejected
         Use an earlier calibration with the verdict 'rejected', too.
-    processes
-        As in `calibrate`.
 
     Raises
     ------
@@ -169,7 +130,7 @@ def recalibrate(
     UnknownName
         There is no such actuator.
     RankDeficient
-        Too few data, or too many actuators moved; in several segments: of all.
+        Too few data, or too many actuators moved.
     TooManyOutliers, NotConverged
 
     Warns
@@ -184,48 +145,20 @@ def recalibrate(
     >>> new.asked, new.moved
     ((17,), ())
     """
-    run: Campaign | SegmentedData = run_from(
-        read(campaign) if isinstance(campaign, str | os.PathLike) else campaign
-    )
-    if not has_parts(run):
-        alone = _recalibrated(
-            run, known, actuators, reference=reference, accept_rejected=accept_rejected
-        )
-        warn_of(alone.calibration)
-        return alone
-    _, before = known_for(known, run)
-    earlier = None if reference is None else known_for(reference, run, read_reference)[1]
-    _require_enabled(run.layout, actuators)
-
-    def solver(number: int) -> Callable[[Any], Recalibration]:
-        return partial(
-            _recalibrated,
-            known=before.part(number),
-            actuators=run.own(number, actuators),
-            reference=None if earlier is None else earlier.part(number),
-            accept_rejected=accept_rejected,
-        )
-
-    made = run.solved(solver, "alpha", executor_for(run.layout, processes))
-    warn_of(made.map(attrgetter("calibration")))
+    run = run_from(read(campaign) if isinstance(campaign, str | os.PathLike) else campaign)
+    made = _recalibrated(run, known, actuators, accept_rejected=accept_rejected)
+    warn_of(made.calibration)
     return made
 
 
 def _recalibrated(
-    data: Campaign,
-    known: AnyKnown,
-    actuators: Sequence[int],
-    *,
-    reference: AnyReference | None,
-    accept_rejected: bool,
+    data: Campaign, known: AnyKnown, actuators: Sequence[int], *, accept_rejected: bool
 ) -> Recalibration:
     """Recalibrate one body."""
     before = prior_from(known, data, accept_rejected=accept_rejected)
     ids = data.layout.id[data.layout.enabled]
     new = _new(data, before, actuators)
     screened = screen_campaign(data)
-    if reference is not None:
-        return _by_reference(screened, before, reference, new)
     refuse([geometry_fault(enabled_arms(screened.sound.layout))])
     found, wanted = (
         len(screened.moments.rows),
@@ -255,60 +188,6 @@ def _recalibrated(
     )
     limits = tuple(_limits(before, data, made.probability, made.scatter))
     return _with_findings(replace(made, limits=limits), before, screened)
-
-
-def _by_reference(
-    screened: ScreenedCampaign,
-    before: PriorCalibration,
-    reference: AnyReference,
-    new: NDArray[np.bool_],
-) -> Recalibration:
-    """Recalibrate one body by its earlier stiffness; B and torques follow from the mean forces."""
-    layout = screened.sound.layout
-    on, ids = layout.enabled, layout.id[layout.enabled]
-    name, given = known_for(reference, screened.sound, read_reference)
-    if (given.layout.enabled != on).any():
-        raise CampaignMismatch(
-            "has other actuators enabled than the run",
-            remedy="leave the reference out: then the balance gives alpha of new actuators",
-            path=name,
-        )
-    if not np.isfinite(before.alpha[on]).all():
-        raise RankDeficient(
-            f"actuator {ids[~np.isfinite(before.alpha[on])][0]} has no earlier alpha, to which the"
-            " reference could relate the new one",
-            remedy="leave the reference out: then the balance gives alpha of new actuators",
-        )
-    found = ratios(screened, reference_from(given), new)
-    ratio = np.ones(len(on))
-    ratio[on] = found.alpha
-    after = replace(
-        before,
-        alpha=before.alpha * ratio,
-        covariance=before.covariance * np.outer(ratio, ratio),
-        uneven=before.uneven * ratio[:, None],
-    )
-    alpha = after.alpha[on]
-    after.covariance[np.ix_(on, on)] += np.outer(alpha, alpha) * found.covariance
-    errors, scale = shared_errors(after, screened.sound)
-    everyone = np.ones(len(ids), dtype=bool)
-    problem = constrain(build_problem(after, screened, errors), after, everyone)
-    moments = screened.moments
-    shapes = mean_forces(problem, moments)
-    minimum = minimise(problem.a, [shapes], problem.prior, problem.prior.mean)
-    calibration = _calibration(after, problem, moments, minimum, screened.rejected, scale, everyone)
-    made = Recalibration(
-        # The noise is that of the residuals, so nothing is left to test the fit.
-        calibration=replace(calibration, goodness=None),
-        asked=tuple(ids[new].tolist()),
-        moved=found.moved,
-        earlier=before.alpha,
-        chi2=found.chi2,
-        degrees_of_freedom=found.degrees_of_freedom,
-        limits=(),
-        scatter=found.scatter,
-    )
-    return _with_findings(made, before, screened)
 
 
 def _find_moved(

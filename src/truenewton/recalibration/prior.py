@@ -17,7 +17,6 @@ tracking does it from days (`tracking.lines`); the prior is then
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -57,26 +56,16 @@ from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive, mirrored
-from truenewton.reading import holds_alpha, read, read_alpha, select_segment
-from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.reading import read_calibration
+from truenewton.records.campaign import Campaign, mean_temperature, refuse_other_mirror
 from truenewton.records.cycle import Source
-from truenewton.records.parts import (
-    InParts,
-    Parts,
-    body_or_parts_from,
-    has_parts,
-    refuse_other_mirror,
-)
-from truenewton.records.reader import Measured
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.law import TRACKINGS, Tracking
+from truenewton.tracking.law import Tracking, tracking_from
 from truenewton.tracking.lines import Scatter, estimate_scatter
 
 Known = Calibration | Tracking
-KnownOfSegments = Parts[Calibration] | Parts[Tracking]
-AnyKnown = Known | KnownOfSegments | str | os.PathLike[str]
-AnyReference = Measured | str | os.PathLike[str]
+AnyKnown = Known | str | os.PathLike[str]
 EARLIER = ErrorSource(ErrorKind.EARLIER)
 
 
@@ -139,49 +128,22 @@ def prior_from(
     return PriorCalibration(name, alpha, covariance, scale, uneven, temperature, verdict, **further)
 
 
-def known_for(
-    known: Any, run: Campaign | InParts[Any], reader: Callable[[Any], Any] | None = None
-) -> tuple[str, Any]:
-    """Return the name and what is known from before a run, of one body or of all segments.
-
-    Paths are read by ``reader``, by default as an earlier calibration.
-    """
+def known_for(known: Any, run: Campaign) -> tuple[str, Any]:
+    """Return the name and what is known from before a run."""
     name, given = "what is known from before", known
     if isinstance(known, str | os.PathLike):
-        name, given = os.fspath(known), (reader or read_known)(known)
-    if has_parts(run) and not has_parts(given):
-        raise FormatError(
-            f"is of one body, and the run has {len(run.numbers)} segments",
-            remedy="choose the segment: --segment",
-            path=name,
-        )
-    if has_parts(given) and not has_parts(run):
-        segment = run.layout.segment
-        given = select_segment(given, None if segment is None else int(segment[0]), name)
+        name, given = os.fspath(known), read_known(known)
     refuse_other_mirror(given, run, "the run", name, "give that of the same mirror")
     return name, given
 
 
-def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
-    """Read a calibration or a law, of one body or of several segments."""
+def read_known(path: str | os.PathLike[str]) -> Known:
+    """Read a calibration or a law."""
     if not Path(path).is_dir():
         file = read_fits(path)
         if "TRACKING" in file.extensions:
-            law: Tracking | Parts[Tracking] = body_or_parts_from(file, TRACKINGS)
-            return law
-    return read_alpha(path)
-
-
-def read_reference(path: str | os.PathLike[str]) -> Any:
-    """Read a campaign or a stiffness matrix, of one body or of several segments."""
-    given = read(path)
-    if holds_alpha(given):
-        raise FormatError(
-            "is a calibration, not a campaign or a stiffness matrix",
-            remedy="give the data from before the change as the reference",
-            path=path,
-        )
-    return given
+            return tracking_from(file)
+    return read_calibration(path)
 
 
 def _verdict_on_days(tracking: Tracking, *, accept_rejected: bool, path: str) -> Verdict:
@@ -246,9 +208,9 @@ SCALE_ERROR = 1e-4  # which every actuator may move: bad rows are judged by it
 MIN_VARIANCE = 1e-6  # of a residual, in variances of the prior: below, the run does not constrain
 
 
-def run_from(data: Any) -> Any:
-    """Return the run, of one body or of several segments; refuse data other than cycles."""
-    if not getattr(data, "cycles", ()):
+def run_from(data: Any) -> Campaign:
+    """Return the run; refuse data other than cycles."""
+    if not isinstance(data, Campaign):
         raise FormatError("contains no cycles", remedy="give the run after the change")
     if data.stiffness is not None:
         raise FormatError("contains a stiffness matrix beside the cycles", remedy="leave it out")

@@ -6,25 +6,19 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from truenewton.calibration.result import AnyCalibration
 from truenewton.calibration.summary import summary_lines, summary_values
 from truenewton.files.values import Values
 from truenewton.recalibration.fit import Recalibration
-from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.rounding import chance_text, percent, table_lines, with_error
 
 
-def lines(made: Recalibration | Parts[Recalibration], calibration: AnyCalibration) -> Iterator[str]:
+def lines(made: Recalibration) -> Iterator[str]:
     """Yield the lines of the terminal: the calibration, and the actuators that changed."""
-    found = by_number(made).items()
-    changes = (line for number, one in found for line in _changes(one, number))
-    yield from summary_lines(calibration, changes)
+    yield from summary_lines(made.calibration, _changes(made))
 
 
-def _changes(made: Recalibration, segment: int) -> Iterator[str]:
+def _changes(made: Recalibration) -> Iterator[str]:
     """Yield a table of the actuators that were estimated from the run, and what the others show."""
-    if segment:
-        yield f"segment {segment}"
     c = made.calibration
     changed = dict.fromkeys(made.asked, "replaced")
     for one in made.moved:
@@ -49,7 +43,7 @@ def _changes(made: Recalibration, segment: int) -> Iterator[str]:
         f" probability {made.probability:.2g}; "
         + ("they agree" if made.moved else "none has changed (false alarms on 1 % of mirrors)")
     )
-    if made.scatter and not segment:
+    if made.scatter:
         yield f"  each changed by {percent(made.scatter)} since then; errors include this change"
 
 
@@ -60,14 +54,6 @@ VALUES = Values(
 )  # fmt: skip
 
 
-def values(
-    made: Recalibration | Parts[Recalibration], calibration: AnyCalibration
-) -> dict[str, Any]:
+def values(made: Recalibration) -> dict[str, Any]:
     """Return the same values for a script."""
-    figures = summary_values(calibration)
-    if not has_parts(made):
-        return {**figures, **VALUES.of(made)}
-    for part in figures["segments"]:
-        if part["segment"] in made.found:
-            part |= VALUES.of(made.found[part["segment"]])
-    return figures
+    return {**summary_values(made.calibration), **VALUES.of(made)}

@@ -3,9 +3,8 @@
 cycle             one run through all shapes under one load; its source and segments
 campaign          cycles of one mirror that are calibrated together
 stiffness_matrix  a measured stiffness: commanded force per displacement
-segmented         data of a mirror in several segments
+segmented         the data of one segment of a mirror
 result            what all results have in common; their columns and files
-parts             the results of the segments of a mirror
 tables            cycles from arrays and long tables
 file              cycle and stiffness files
 reader            data at paths: campaigns and stiffness matrices

@@ -124,7 +124,7 @@ class Campaign:
         if actuators.segments:
             raise CampaignMismatch(
                 f"the layout has {len(actuators.segments)} segments, which balance separately",
-                remedy="make a campaign of each, and calibrate SegmentedData of all their cycles",
+                remedy="make a campaign of each",
             )
         mirror = {"instrument": instrument, "layout": actuators, **more}
         mirror |= {"weight": weight, "weight_error": weight_error}
@@ -136,7 +136,7 @@ class Campaign:
         if self.cycles and (pieces := self.layout.segments):
             raise CampaignMismatch(
                 f"has {len(pieces)} segments, which balance separately",
-                remedy="give its cycles to SegmentedData",
+                remedy=f"take one: of_segment({pieces[0]}) of each cycle",
                 path=self.cycles[0].name,
             )
         object.__setattr__(self, "cycles", ordered_cycles(self.cycles))
@@ -260,6 +260,17 @@ def refuse_foreign(matrix: StiffnessMatrix | None, cycle: Cycle) -> None:
             remedy="give the stiffness matrix of the same mirror",
             path=matrix.source.file if matrix.source else "stiffness matrix",
         )
+
+
+def refuse_other_mirror(given: Any, mirror: Any, than: str, path: str, remedy: str) -> None:
+    """Raise CampaignMismatch if the data of a path are not of a mirror; ``than`` names its data."""
+    fault, apart = "", mirror.layout.other_actuators(given.layout)
+    if given.instrument != mirror.instrument:
+        fault = f"is of {given.instrument}, {than} of {mirror.instrument}"
+    elif apart:
+        fault = f"has other actuators than {than}: {apart}"
+    if fault:
+        raise CampaignMismatch(fault, remedy=remedy, path=path)
 
 
 def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:

@@ -116,6 +116,12 @@ def check_segments(segments: tuple[Segment, ...], layout: Layout) -> None:
             raise error.changed(fault=f"{error.fault} of segment {segment.number}") from None
 
 
+def whole_mirror(instrument: str, layout: Layout) -> str:
+    """Return INSTRUME without the number of a segment, if the actuators are of a single one."""
+    number = () if layout.segment is None or layout.segments else layout.segment[:1]
+    return instrument.removesuffix("".join(f" segment {k}" for k in number))
+
+
 def sums_of(segments: tuple[Segment, ...]) -> dict[str, float]:
     """Return weight, its error, added weight and its error [N] of all segments together."""
     weights = np.array([segment[1:] for segment in segments])
@@ -319,18 +325,25 @@ class Cycle:
         return self.source.file if self.source else f"{self.load.name} {self.number}"
 
     @property
-    def numbers(self) -> tuple[int, ...]:
-        """Numbers of its segments, ascending; empty if ACTUATORS has no SEGMENT."""
-        segment = self.layout.segment
-        return () if segment is None else tuple(np.unique(segment).tolist())
+    def mirror(self) -> str:
+        """The whole mirror: INSTRUME without the number of a single segment."""
+        return whole_mirror(self.instrument, self.layout)
 
     def of_segment(self, number: int) -> Cycle:
-        """Return the data of one segment as those of a mirror in one piece."""
+        """Return the data of one segment as those of a mirror in one piece.
+
+        Raises
+        ------
+        UnknownName
+            There is no such segment.
+        """
+        chosen, instrument = self.layout.in_segment(number), f"{self.mirror} segment {number}"
+        if chosen.all():
+            return replace(self, instrument=instrument)
         (own,) = [segment for segment in self.segments if segment.number == number]
-        chosen = np.asarray(self.layout.segment) == number
         return replace(
             self,
-            instrument=f"{self.instrument} segment {number}",
+            instrument=instrument,
             load=replace(self.load, added=own.added, added_error=own.added_error),
             weight=own.weight,
             weight_error=own.weight_error,

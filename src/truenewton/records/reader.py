@@ -12,11 +12,11 @@ from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import cycle_from, fits_paths, holds_cycle, stiffness_from
-from truenewton.records.segmented import SegmentedData, in_segments
+from truenewton.records.segmented import of_one_body
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 AnyPath = str | os.PathLike[str]
-Measured = Campaign | StiffnessMatrix | SegmentedData
+Measured = Campaign | StiffnessMatrix
 FOREIGN = {  # extensions of files that cannot be calibrated: what the file is, and what to do
     "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
     "MODES": Fault(
@@ -68,13 +68,14 @@ def open_files(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[Opened]:
     return [open_file(path) for path in fits_paths(flat(paths))]
 
 
-def measured_in(opened: Sequence[Opened]) -> Measured:
-    """Return the data in files: cycles, a stiffness matrix, or both."""
+def measured_in(opened: Sequence[Opened], segment: int | None = None) -> Measured:
+    """Return the data in files, of one segment if it is chosen: cycles, a matrix, or both."""
     matrices = [one.file for one in opened if "STIFFNESS" in one.file.extensions]
     if len(opened) > 1 or not matrices:
         _refuse_foreign([one.file for one in opened], matrices)
-    cycles = tuple(one.require_cycle() for one in opened if one.file not in matrices)
-    return _measured(cycles, tuple(map(stiffness_from, matrices)))
+    cycles = [one.require_cycle() for one in opened if one.file not in matrices]
+    matrix = stiffness_from(matrices[0]) if matrices else None
+    return of_one_body(cycles, matrix, segment)
 
 
 def measured_from(given: Any) -> Measured:
@@ -91,24 +92,15 @@ def measured_from(given: Any) -> Measured:
     items = [*given] if several and not hasattr(given, "dtype") else [given]
     if items and all(isinstance(one, str | os.PathLike) for one in items):
         return measured_in(open_files(items))
-    cycles = tuple(one for one in items if isinstance(one, Cycle))
-    matrices = tuple(one for one in items if isinstance(one, StiffnessMatrix))
+    cycles = [one for one in items if isinstance(one, Cycle)]
+    matrices = [one for one in items if isinstance(one, StiffnessMatrix)]
     if items and len(cycles) + len(matrices) == len(items):
-        return _measured(cycles, matrices)
+        return of_one_body(cycles, matrices[0] if matrices else None)
     wrong = next((one for one in items if not isinstance(one, Cycle | str | os.PathLike)), given)
     raise TypeError(
-        f"cannot calibrate a {type(wrong).__name__}; give a path, paths, cycles, a Campaign,"
-        " StiffnessMatrix or SegmentedData"
+        f"cannot calibrate a {type(wrong).__name__}; give a path, paths, cycles, a Campaign or"
+        " StiffnessMatrix"
     )
-
-
-def _measured(cycles: tuple[Cycle, ...], matrices: tuple[StiffnessMatrix, ...]) -> Measured:
-    """Return cycles, a matrix or both as data of one mirror."""
-    if matrices and not cycles:
-        whole = matrices[0].layout.segments
-        return SegmentedData(stiffness=matrices[0]) if whole else matrices[0]
-    beside = matrices[0] if matrices else None
-    return SegmentedData(cycles, beside) if in_segments(cycles) else Campaign(cycles, beside)
 
 
 def flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:

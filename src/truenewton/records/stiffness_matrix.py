@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, freeze
+from truenewton.arrays import Array, freeze, rms
 from truenewton.errors import FormatError
 from truenewton.quantities import MAX_MAGNITUDE, Quantity, convert_quantities
-from truenewton.records.cycle import Source, check_date
+from truenewton.records.cycle import Source, check_date, whole_mirror
 from truenewton.statics.layout import Layout
 
 DISPLACED = ("read", "true")
+# Elements between segments that are more than noise: they are reciprocal, which noise is not, or
+# their rms is large relative to that of a segment's own elements; or they are only rounding.
+MIN_RECIPROCITY = 6.0  # standard deviations
+MAX_RELATIVE_RMS, ROUNDING = 0.3, 1e-9
 MIN_ELEMENT = 1e-30  # an element below it is 0 [N/m]: squares of what remains stay above zero
 
 
@@ -79,6 +83,9 @@ class StiffnessMatrix:
         The known mirror that the positions are from, or None.
     stored
         How the file stores it that was imported; None of others.
+    coupling
+        Of a segment that is coupled to others by more than noise: the rms of the elements between
+        it and them, and of its own elements [N/m]; otherwise None.
 
     Examples
     --------
@@ -97,6 +104,7 @@ class StiffnessMatrix:
     displaced: str = "read"
     mirror: str | None = None
     stored: StoredAs | None = None
+    coupling: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         check_date(self.date)
@@ -136,3 +144,43 @@ class StiffnessMatrix:
         """(n_enabled, n_enabled) stiffness between the actuators that are enabled [N/m]."""
         on = self.layout.enabled
         return np.asarray(self.stiffness[np.ix_(on, on)])
+
+    def of_segment(self, number: int) -> StiffnessMatrix:
+        """Return the stiffness of one segment as that of a mirror in one piece.
+
+        Raises
+        ------
+        UnknownName
+            There is no such segment.
+        """
+        chosen = self.layout.in_segment(number)
+        instrument = f"{whole_mirror(self.instrument, self.layout)} segment {number}"
+        if chosen.all():
+            return replace(self, instrument=instrument)
+        return replace(
+            self,
+            instrument=instrument,
+            layout=self.layout.part(chosen),
+            stiffness=self.stiffness[np.ix_(chosen, chosen)],
+            stored=None,
+            coupling=self._coupling_of(chosen),
+        )
+
+    def _coupling_of(self, chosen: NDArray[np.bool_]) -> tuple[float, float] | None:
+        """Return the rms of the elements between a segment and others, and of its own elements.
+
+        None if they are noise. Segments do not touch, so elements between them should be noise:
+        neither reciprocal (Maxwell-Betti) nor as large as the segment's own.
+        """
+        own, others = self.layout.enabled & chosen, self.layout.enabled & ~chosen
+        if not (own.any() and others.any()):
+            return None
+        usual = rms(self.stiffness[np.ix_(own, own)])
+        there = self.stiffness[np.ix_(others, own)]
+        back = self.stiffness[np.ix_(own, others)].T
+        size = max(rms(there), rms(back))
+        if not size > ROUNDING * usual:
+            return None
+        alike = float(np.mean(there * back)) / max(rms(there) * rms(back), 1e-300)
+        joined = alike * np.sqrt(there.size) > MIN_RECIPROCITY or size > MAX_RELATIVE_RMS * usual
+        return (size, usual) if joined else None

@@ -38,7 +38,6 @@ from truenewton.modal.figures import modes_figures
 from truenewton.modal.modal_base import Budget
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
-from truenewton.records.parts import Parts, has_parts
 from truenewton.records.result import figures_of
 from truenewton.report.findings import Evidence, Findings, ModeResiduals, RowResiduals
 from truenewton.rounding import percent
@@ -80,9 +79,9 @@ def findings_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
     return drawn
 
 
-def still_figures(findings: Findings | Parts[Calibration]) -> dict[str, Callable[..., Axes]]:
-    """Return the figures that are written beside those of the paper, by name; none of segments."""
-    drawn = {} if has_parts(findings) else findings_figures(findings)
+def still_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
+    """Return the figures that are written beside those of the paper, by name."""
+    drawn = findings_figures(findings)
     return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
 
 

@@ -8,10 +8,10 @@ nothing but noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar, overload
+from typing import TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.methods import (
-    Seen,
     calibrate,
     calibration_of,
     estimate_alpha,
     refusals,
     resolve_method,
 )
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.result import Calibration
 from truenewton.errors import (
     CampaignMismatch,
     Fault,
@@ -49,10 +48,9 @@ from truenewton.estimation.screening.screen import ScreenedCampaign, screen_camp
 from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.measured_stiffness import motion_sums
-from truenewton.reading import Read, holds_alpha
-from truenewton.records.campaign import Campaign
+from truenewton.reading import Read
+from truenewton.records.campaign import Campaign, refuse_other_mirror
 from truenewton.records.cycle import Source
-from truenewton.records.parts import Parts, has_parts, refuse_other_mirror
 from truenewton.records.result import figures_of
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
@@ -300,34 +298,22 @@ class Findings:
         raise UnknownName(f"there is no figure '{name}'", remedy=remedy)
 
 
-@overload
-def investigate(
-    data: Campaign | StiffnessMatrix | Calibration, method: str | None = None, *,
-    calibration: AnyCalibration | None = None, population: bool = False,
-    motion: Array | None = None, diameter: float | None = None, efficiency: float | None = None,
-) -> Findings: ...  # fmt: skip
-@overload
-def investigate(
-    data: Read, method: str | None = None, *, calibration: AnyCalibration | None = None,
-    population: bool = False, motion: Seen | None = None, diameter: float | None = None,
-    efficiency: float | None = None,
-) -> Findings | Parts[Calibration]: ...  # fmt: skip
 def investigate(
     data: Read,
     method: str | None = None,
     *,
-    calibration: AnyCalibration | None = None,
+    calibration: Calibration | None = None,
     population: bool = False,
-    motion: Seen | None = None,
+    motion: Array | None = None,
     diameter: float | None = None,
     efficiency: float | None = None,
-) -> Findings | Parts[Calibration]:
+) -> Findings:
     """Calibrate data and collect the evidence; data that do not suffice are diagnosed instead.
 
     Parameters
     ----------
     data
-        Data, or a finished calibration. Several segments are calibrated only.
+        Data, or a finished calibration.
     calibration
         The result of an earlier calibration of these data, which are then not fitted again.
     method, population, motion
@@ -351,12 +337,6 @@ def investigate(
     """
     if calibration is not None:
         refuse_other_mirror(calibration, data, "the data", "the calibration", OWN_CALIBRATION)
-    if has_parts(data):
-        asked: Any = {"population": population, "motion": motion}
-        given = data if holds_alpha(data) else calibration
-        return calibrate(data, method, **asked) if given is None else given  # type: ignore
-    assert not isinstance(motion, Mapping)
-    assert not isinstance(calibration, Parts)
     if isinstance(data, Calibration):
         return Findings(data, data)
     method, options = resolve_method(data, method, population=population, motion=motion)
@@ -417,10 +397,8 @@ def _modes(data: Campaign | StiffnessMatrix, find: Callable[[], Modal]) -> tuple
         return None, f"Stiffness modes are not shown. {why}"
 
 
-def require_calibration(findings: Findings | Parts[Calibration]) -> AnyCalibration:
+def require_calibration(findings: Findings) -> Calibration:
     """Return the calibration; raise `RankDeficient` if the data do not suffice."""
-    if has_parts(findings):
-        return findings
     if findings.calibration is None:
         fault, remedy = findings.faults[0]
         raise RankDeficient(fault, remedy=remedy)

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truenewton.calibration.result import AnyCalibration, Calibration
 from truenewton.calibration.summary import MEANINGS, summary_rows
-from truenewton.calibration.verdict import without_unusable
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.result import AnyChange, Comparison
 from truenewton.comparison.summary import MEANINGS_OF_CHANGES, WEIGHTS_INDEPENDENT, figures
@@ -19,15 +16,10 @@ from truenewton.errors import Fault
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.estimation.findings.finding import Finding, Verdict, as_sentences, no_alpha
-from truenewton.records.cycle import Source
-from truenewton.records.parts import Parts, by_number, has_parts
 from truenewton.report.findings import Findings
 from truenewton.rounding import counted, named, percent, significant, with_error
 
-if TYPE_CHECKING:
-    from typing_extensions import TypeIs
-
-Reported = Findings | AnyChange | Parts[Calibration]
+Reported = Findings | AnyChange
 Numbers = tuple[tuple[str, str, str], ...]  # name, value and note
 
 
@@ -56,10 +48,8 @@ def headline_of(findings: Reported) -> Headline:
     """Return the verdict on what a page shows."""
     if isinstance(findings, Change):
         return _on_change(findings)
-    if of_comparison(findings):
+    if isinstance(findings, Comparison):
         return _on_comparison(findings)
-    if of_segments(findings):
-        return _on_parts(findings)
     c = findings.calibration
     if c is None:
         sentence = f"These data of {findings.data.instrument} cannot give alpha."
@@ -75,29 +65,6 @@ def headline_of(findings: Reported) -> Headline:
         sentence += f" {as_sentences(Fault(words, ''))}"
     numbers = tuple((name.strip(), *rest) for name, *rest in islice(summary_rows(c), 3))
     return _headline(c.verdict, sentence, numbers)  # type: ignore[arg-type]
-
-
-def _on_parts(c: Parts[Calibration]) -> Headline:
-    """Return the verdict on all segments; the numbers are of those that can be used."""
-    sound = sum(one.verdict.level == Level.SOUND for one in c.found.values())
-    verdict, c = c.verdict, without_unusable(c)
-    alpha, errors = c.column("alpha"), c.column("error")
-    known = np.isfinite(alpha)
-    error = typical(errors[known], alpha[known])
-    part = f"{len(c.found)} of" if c.failed else "all"
-    sentence = (
-        f"Alpha of {part} {counted(c.numbers, 'segment')} of {c.instrument}"
-        f" ({counted(int(known.sum()), 'actuator')}) has a typical error of {percent(error)}."
-    )
-    of_each = {n: typical(one.error, one.alpha) for n, one in c.found.items()}
-    worst = max(of_each, key=lambda n: of_each[n])
-    numbers = (
-        ("alpha", f"{np.nanmin(alpha):.3f} .. {np.nanmax(alpha):.3f}", "true N / commanded N"),
-        ("typical error of alpha", percent(error),
-         f"E_ALPHA, one sigma; the largest on segment {worst}: {percent(of_each[worst])}"),
-        ("sound segments", f"{sound} of {len(c.numbers)}", "each has a section below"),
-    )  # fmt: skip
-    return _headline(verdict, sentence, numbers)
 
 
 def _headline(
@@ -128,7 +95,7 @@ def _on_change(change: Change) -> Headline:
                 "calibrate again before use, unless the cause is clear, such as a replacement",
             )
         )
-    one, other = ({s.sha256 for s in sources_of(c)} for c in (change.one, change.other))
+    one, other = ({s.sha256 for s in c.sources} for c in (change.one, change.other))
     if one == other:  # a recalibration has files of its own beside those it inherits
         advice.append(
             Fault(
@@ -146,53 +113,30 @@ def _on_change(change: Change) -> Headline:
     return Headline(level, title, sentence, numbers, tuple(advice))
 
 
-def of_comparison(c: object) -> TypeIs[Comparison | Parts[Comparison]]:
-    """Return whether something is what changed between matrices or campaigns."""
-    return all(isinstance(each, Comparison) for each in by_number(c).values())
-
-
-def of_segments(c: object) -> TypeIs[Parts[Calibration]]:
-    """Return whether something is the calibrations of several segments."""
-    return has_parts(c) and not of_comparison(c)
-
-
-def _on_comparison(c: Comparison | Parts[Comparison]) -> Headline:
+def _on_comparison(c: Comparison) -> Headline:
     """Return the verdict on what changed between two matrices or campaigns."""
-    found = by_number(c).values()
-    changed = sum(int(one.changed.sum()) for one in found)
-    compared = sum(int(one.layout.enabled.sum()) for one in found)
-    couplings = sum(len(one.couplings) for one in found)
+    changed, compared = int(c.changed.sum()), int(c.layout.enabled.sum())
     sentence = f"{changed or 'None'} of {counted(compared, 'actuator')} changed."
     advice = list[Fault]()
-    for what, remedy in (
-        ("alpha", "check coil and magnet, and multiply the old alpha by the ratio"),
-        ("sensor", "check the sensor; alpha remains valid"),
+    for name, which, remedy in (
+        (
+            "alpha",
+            c.alpha_changed,
+            "check coil and magnet, and multiply the old alpha by the ratio",
+        ),
+        ("sensor gain", c.sensor_changed, "check the sensor; alpha remains valid"),
     ):
-        ids = [one.layout.id[getattr(one, f"{what}_changed")] for one in found]
-        if some := np.concatenate(ids).tolist():
-            name = "alpha" if what == "alpha" else "sensor gain"
-            advice.append(Fault(f"{name} changed: {named('actuator', some, 8)}", remedy))
-    if couplings:
-        sentence += f" {counted(couplings, 'single coupling')} changed."
-    numbers = tuple(islice(figures(c), 3)) if isinstance(c, Comparison) else ()
-    shown = _headline(c.verdict, sentence, numbers, MEANINGS_OF_CHANGES)
+        if which.any():
+            ids = c.layout.id[which].tolist()
+            advice.append(Fault(f"{name} changed: {named('actuator', ids, 8)}", remedy))
+    if c.couplings:
+        sentence += f" {counted(c.couplings, 'single coupling')} changed."
+    shown = _headline(c.verdict, sentence, tuple(islice(figures(c), 3)), MEANINGS_OF_CHANGES)
     return replace(shown, advice=(*advice, *shown.advice))
 
 
-def sources_of(c: AnyCalibration) -> tuple[Source, ...]:
-    """Return the files of a calibration; of several segments each once."""
-    if not has_parts(c):
-        return c.sources
-    every = (source for one in c.found.values() for source in one.sources)
-    return tuple({source.sha256: source for source in every}.values())
-
-
 def _ratio(change: Change) -> tuple[str, str, str]:
-    """Return name, value and note of the common ratio, or of those of the segments."""
-    if change.segments:
-        ratios = [part.ratio for part in change.segments.values()]
-        return ("common ratios, second to first", f"{min(ratios):.4f} to {max(ratios):.4f}",
-                "of each segment, removed; each in the table of segments")  # fmt: skip
+    """Return name, value and note of the common ratio."""
     name = "common ratio, second to first"
     if np.isfinite(change.ratio_error):
         return (name, with_error(change.ratio, change.ratio_error),

@@ -201,6 +201,11 @@ class Layout:
         numbers = () if self.segment is None else np.unique(self.segment).tolist()
         return tuple(numbers) if len(numbers) > 1 else ()
 
+    def in_segment(self, number: int) -> NDArray[np.bool_]:
+        """Return (n,) true for the actuators of a segment; raise UnknownName if there are none."""
+        require_segment(number, () if self.segment is None else np.unique(self.segment).tolist())
+        return np.asarray(np.asarray(self.segment) == number)
+
     def part(self, chosen: NDArray[Any]) -> Layout:
         """Return the chosen actuators, (n,) true or their indices."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -252,6 +257,16 @@ class Layout:
             values = f"{one[k]:.7g} and {two[k]:.7g}"
         which = f"row {k + 1}" if name == "id" else f"actuator {self.shown[k]} (row {k + 1})"
         return f"{name.upper()} of {which}: {values}{more}"
+
+
+def require_segment(number: int, numbers: Collection[int]) -> None:
+    """Raise UnknownName if there is no segment of this number."""
+    if number not in numbers:
+        choice = f"choose {', '.join(map(str, sorted(numbers)))}"
+        raise UnknownName(
+            f"there is no segment {number}",
+            remedy=choice if numbers else "the mirror is in one piece: leave the segment out",
+        )
 
 
 def integers_or_texts(given: Any) -> NDArray[Any]:
@@ -418,15 +433,3 @@ def _radius_number(layout: Layout, centre: tuple[float, float]) -> NDArray[np.in
     number = np.empty(layout.n, dtype=np.int64)
     number[order] = np.cumsum(steps)
     return number
-
-
-def group_of(layout: Layout) -> NDArray[np.int64]:
-    """Return (n,) number of the group of each actuator, see `group_name`, from 0."""
-    if layout.segments:
-        return np.searchsorted(layout.segments, np.asarray(layout.segment))
-    return ring_of(layout)
-
-
-def group_name(layout: Layout) -> str:
-    """Return the kind of groups: 'segment', or 'ring' of a single body."""
-    return "segment" if layout.segments else "ring"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import datetime
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,8 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.findings.estimate import Scale
-from truenewton.reading import Read, read, select_segment
-from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.parts import InParts, Parts, by_number, has_parts, refuse_other_mirror
-from truenewton.records.segmented import SegmentedData
+from truenewton.reading import Read, read
+from truenewton.records.campaign import Campaign, mean_temperature, refuse_other_mirror
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 
@@ -32,17 +30,7 @@ class Named(NamedTuple):
     data: Read
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Days(InParts[list[Named]]):
-    """The days of a mirror in several segments."""
-
-    days: Sequence[Named]
-
-    def _part(self, number: int) -> list[Named]:
-        return of_one(self.days, number)
-
-
-Given = Calibration | Campaign | Parts[Calibration] | SegmentedData | Named | str | os.PathLike[str]
+Given = Calibration | Campaign | Named | str | os.PathLike[str]
 ONE_MIRROR = "track one mirror at a time"
 SAME_TEMPERATURE = 1.0  # [K]; cycles that differ by more are calibrated separately
 # Typical change of alpha beyond its error, of another unit: 50 K make 0.3 % between actuators.
@@ -63,49 +51,25 @@ class DatedCalibration(NamedTuple):
         return c.date + (c.date_end - c.date) / 2
 
 
-def named(item: Given) -> Named:
-    """Return the data with a name; read them if a path is given."""
+def named(item: Given, segment: int | None = None) -> Named:
+    """Return the data with a name; read them, or one segment of them, if a path is given."""
     if isinstance(item, Named):
         return item
     if isinstance(item, str | os.PathLike):
-        return Named(os.fspath(item), read(item))
-    dated: Any = getattr(item, "cycles", None)
-    dated = by_number(item).values() if dated is None else dated
-    dates = [one.date for one in dated]
-    return Named(f"{item.instrument} of {min(dates):%Y-%m-%d}" if dates else item.instrument, item)
-
-
-def of_one(given: Iterable[Given], segment: int | None) -> list[Named]:
-    """Return the named data of one body; of mirrors in several segments those of one segment."""
-    every = (named(item) for item in given)
-    return [Named(name, select_segment(data, segment, name)) for name, data in every]
-
-
-def of_all(days: Sequence[Named]) -> Days:
-    """Return the days of all segments; raise an error for one body, or for another mirror."""
-    first = next(day for day in days if has_parts(day.data))
-    mirror: InParts[Any] = first.data  # type: ignore[assignment]
-    for name, data in days:
-        if not has_parts(data):
-            raise FormatError(
-                "is of one body, and others have several segments",
-                remedy=f"give files with all segments, as {first.name}, or choose one:"
-                " --segment, or track(..., segment=) in Python",
-                path=name,
-            )
-        refuse_other_mirror(data, mirror, first.name, name, ONE_MIRROR)
-    return Days(mirror.instrument, mirror.layout, days)
+        return Named(os.fspath(item), read(item, segment=segment))
+    cycles = item.cycles if isinstance(item, Campaign) else (item,)
+    return Named(f"{item.instrument} of {min(one.date for one in cycles):%Y-%m-%d}", item)
 
 
 def gather_days(
-    given: Iterable[Given], *, accept_rejected: bool = False
+    given: Iterable[Named], *, accept_rejected: bool = False
 ) -> tuple[DatedCalibration, ...]:
     """Return the calibrations in order of time; cycles are calibrated first.
 
     Raises an error if calibrations do not belong together, or are rejected (`accept_rejected`).
     """
     days = sorted(
-        (day for item in given for day in _dated(*named(item))),
+        (day for item in given for day in _dated(*item)),
         key=lambda day: (day.date, day.calibration.temperature),
     )
     for day in days:
@@ -131,8 +95,7 @@ def gather_days(
     return tuple(days)
 
 
-def _dated(name: str, given: Read) -> list[DatedCalibration]:
-    data = select_segment(given, None, name)
+def _dated(name: str, data: Read) -> list[DatedCalibration]:
     if isinstance(data, StiffnessMatrix):
         raise FormatError(
             "is a stiffness file", remedy="give calibrations, or campaigns", path=name

@@ -20,7 +20,6 @@ from truenewton.figures.style import (
     legend_above,
     styled_axes,
 )
-from truenewton.records.parts import Parts, by_number
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
 
@@ -121,15 +120,13 @@ def plot_population(tracking: Tracking, effect: str, ax: Axes | None = None) -> 
     return ax
 
 
-def tracking_figures(tracking: Tracking | Parts[Tracking]) -> dict[str, Callable[..., Axes]]:
+def tracking_figures(tracking: Tracking) -> dict[str, Callable[..., Axes]]:
     """Return functions that draw each figure, by name; they take axes or make their own."""
     figures: dict[str, Callable[..., Axes]] = {}
-    for number, law in by_number(tracking).items():
-        of_it = f"segment-{number}-" if number else ""
-        for effect in law.effects:
-            name = "time" if effect == "drift" else effect
-            figures[f"{of_it}track-{name}"] = partial(plot_law, law, effect)
-            figures[f"{of_it}track-population-{effect}"] = partial(plot_population, law, effect)
+    for effect in tracking.effects:
+        name = "time" if effect == "drift" else effect
+        figures[f"track-{name}"] = partial(plot_law, tracking, effect)
+        figures[f"track-population-{effect}"] = partial(plot_population, tracking, effect)
     return figures
 
 

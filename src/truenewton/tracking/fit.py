@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Sequence
-from functools import partial
-from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread, spread_square
-from truenewton.calibration.result import Calibration
-from truenewton.calibration.workers import executor_for
 from truenewton.chance import FALSE_ALARM, chance_of_any, f_sf
 from truenewton.errors import CampaignMismatch, RankDeficient
-from truenewton.records.campaign import Campaign
-from truenewton.records.parts import Parts, has_parts
-from truenewton.records.segmented import SegmentedData
 from truenewton.rounding import counted
 from truenewton.tracking.days import (
     OTHER_UNIT,
@@ -25,11 +18,8 @@ from truenewton.tracking.days import (
     YEAR,
     DatedCalibration,
     Given,
-    Named,
     gather_days,
     named,
-    of_all,
-    of_one,
     weight_groups,
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
@@ -57,30 +47,8 @@ MIN_SCATTER_DEGREES = 3  # degrees of freedom below which a common scatter is po
 MAX_OUTLIER_FRACTION = 0.25  # of the actuators; with more there is no population
 
 
-@overload
-def track(
-    *given: Calibration | Campaign, accept_rejected: bool = False, segment: int | None = None,
-    processes: int | None = None,
-) -> Tracking: ...  # fmt: skip
-@overload
-def track(
-    *given: Parts[Calibration] | SegmentedData, accept_rejected: bool = False, segment: None = None,
-    processes: int | None = None,
-) -> Parts[Tracking]: ...  # fmt: skip
-@overload
-def track(
-    *given: Given,
-    accept_rejected: bool = False,
-    segment: int | None = None,
-    processes: int | None = None,
-) -> Tracking | Parts[Tracking]: ...
-def track(
-    *given: Given,
-    accept_rejected: bool = False,
-    segment: int | None = None,
-    processes: int | None = None,
-) -> Tracking | Parts[Tracking]:
-    """Find how alpha varies with temperature and time; in several segments each by itself.
+def track(*given: Given, accept_rejected: bool = False, segment: int | None = None) -> Tracking:
+    """Find how alpha varies with temperature and time.
 
     Parameters
     ----------
@@ -91,15 +59,13 @@ def track(
     accept_rejected
         Use calibrations with the verdict 'rejected', too.
     segment
-        Track only this segment, in files of a mirror in several segments.
-    processes
-        As in `calibrate`.
+        Of the paths the segment to read, as of `read`.
 
     Raises
     ------
     NotToBeUsed
         The verdict on one of them is 'rejected', and ``accept_rejected`` is not set.
-    UnreadableFile, FormatError, CampaignMismatch
+    UnreadableFile, FormatError, CampaignMismatch, SeveralSegments, UnknownName
         Files that cannot be tracked, or not together.
     RankDeficient
         One calibration only, or all at one temperature on one day.
@@ -109,22 +75,8 @@ def track(
     >>> tracking = tn.track(calibration, warm)
     >>> f"{100 * np.mean(tracking.coefficient):.2f} % per kelvin"
     '-0.10 % per kelvin'
-    >>> law = tn.track(pair(calibration), pair(warm), processes=1)
-    >>> law.numbers, law.part(2).effects
-    ((1, 2), ('temperature',))
     """
-    every = [named(item) for item in given]
-    if segment is None and any(has_parts(day.data) for day in every):
-        together = of_all(every)
-        executor = executor_for(together.layout, processes)
-        return together.solved(
-            lambda _: partial(_law, accept_rejected=accept_rejected), "a law", executor
-        )
-    return _law(of_one(every, segment), accept_rejected=accept_rejected)
-
-
-def _law(given: Sequence[Named], *, accept_rejected: bool) -> Tracking:
-    days = gather_days(given, accept_rejected=accept_rejected)
+    days = gather_days([named(item, segment) for item in given], accept_rejected=accept_rejected)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(

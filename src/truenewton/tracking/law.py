@@ -26,10 +26,8 @@ from truenewton.files.format import (
     quantities,
 )
 from truenewton.quantities import taking_units
-from truenewton.reading import select_segment
 from truenewton.records.file import ID, INSTRUMENT, NUMBER, NZ, X, Y
-from truenewton.records.parts import body_or_parts_from
-from truenewton.records.result import KINDS, Result, ResultKind
+from truenewton.records.result import FORMATS, Result
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.lines import expanded
@@ -367,19 +365,17 @@ TRACKING = FileFormat(
 )
 
 
-def read_tracking(path: str | os.PathLike[str], *, segment: int | None = None) -> Tracking:
+def read_tracking(path: str | os.PathLike[str]) -> Tracking:
     """Read a tracking file.
 
     Parameters
     ----------
     path
         As `Tracking.write` wrote it.
-    segment
-        Number of one segment, which is returned alone.
 
     Raises
     ------
-    UnreadableFile, FormatError, UnknownName, RankDeficient
+    UnreadableFile, FormatError
 
     Examples
     --------
@@ -387,9 +383,7 @@ def read_tracking(path: str | os.PathLike[str], *, segment: int | None = None) -
     >>> tn.read_tracking("track.fits")
     <Tracking of P45: 2 calibrations, temperature>
     """
-    found = body_or_parts_from(read_fits(path), TRACKINGS)
-    law: Tracking = select_segment(found, segment, path)
-    return law
+    return tracking_from(read_fits(path))
 
 
 def tracking_from(file: FitsFile) -> Tracking:
@@ -404,21 +398,7 @@ def tracking_from(file: FitsFile) -> Tracking:
     return file.filled(Tracking, values)
 
 
-TRACKINGS = ResultKind(
-    TRACKING,
-    tracking_from,
-    "LAW",
-    {
-        "DATE-REF": "",
-        "TEMPERAT": np.nan,
-        "CHI2": np.nan,
-        "DOF": 0,
-        "SCATTER": np.nan,
-        "SCATDOF": 0,
-    },
-    {"LEFT": lambda law: len(law.outliers)},
-)
-KINDS[Tracking] = TRACKINGS
+FORMATS[Tracking] = TRACKING
 
 
 # -- when to calibrate again ----------------------------------------------------------------------

@@ -12,9 +12,8 @@ import numpy as np
 from truenewton.errors import Fault
 from truenewton.estimation.findings.finding import as_sentences
 from truenewton.files.values import Columns, Values
-from truenewton.records.parts import Parts, by_number, fault_values, has_parts
 from truenewton.records.result import Summary, summary_of
-from truenewton.rounding import chance_text, counted, numbered, row, table_lines, with_error
+from truenewton.rounding import chance_text, row, table_lines, with_error
 from truenewton.tracking.law import ACTUATORS, DAYS, Tracking, Validity, validity_of
 
 NAMES = {"temperature": "coefficient k", "drift": "drift"}
@@ -26,12 +25,9 @@ OUTLYING = {
 }
 
 
-def lines(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> Iterator[str]:
+def lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]:
     """Yield the lines of the terminal; with an accuracy also how long the law is valid."""
     t = tracking
-    if has_parts(t):
-        yield from _lines_of_parts(t, accuracy)
-        return
     yield headline(t)
     for day in t.days:
         verdict = f"{day.verdict}: " if day.verdict else ""
@@ -53,9 +49,7 @@ def headline(tracking: Tracking) -> str:
 
 
 @summary_of.register(Tracking)
-def _summary(tracking: Tracking | Parts[Tracking]) -> Summary | None:
-    if has_parts(tracking):
-        return None
+def _summary(tracking: Tracking) -> Summary:
     return Summary(headline(tracking), summary_rows(tracking), remarks(tracking))
 
 
@@ -96,16 +90,15 @@ def remarks(tracking: Tracking) -> Iterator[str]:
         yield f"limit: {as_sentences(Fault(limit, ''))}"
 
 
-def table_of(tracking: Tracking | Parts[Tracking]) -> Iterator[str]:
-    """Yield the table of the actuators, segment by segment."""
-    for number, t in by_number(tracking).items():
-        rows = [("actuator", "alpha", "k [%/K]", "drift [%/yr]")]
-        columns = (t.layout.shown, t.alpha, t.coefficient, t.drift, *t.errors)
-        for name, a, k, d, ea, ek, ed in zip(*columns, strict=True):
-            coefficient = with_error(100 * k, 100 * ek) if "temperature" in t.effects else "-"
-            drift = with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-"
-            rows.append((str(name), with_error(a, ea), coefficient, drift))
-        yield from table_lines(f"segment {number}" if number else "actuators:", *rows)
+def table_of(tracking: Tracking) -> Iterator[str]:
+    """Yield the table of the actuators."""
+    t, rows = tracking, [("actuator", "alpha", "k [%/K]", "drift [%/yr]")]
+    columns = (t.layout.shown, t.alpha, t.coefficient, t.drift, *t.errors)
+    for name, a, k, d, ea, ek, ed in zip(*columns, strict=True):
+        coefficient = with_error(100 * k, 100 * ek) if "temperature" in t.effects else "-"
+        drift = with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-"
+        rows.append((str(name), with_error(a, ea), coefficient, drift))
+    yield from table_lines("actuators:", *rows)
 
 
 def _validity_lines(tracking: Tracking, accuracy: float | None) -> Iterator[str]:
@@ -135,35 +128,6 @@ def _span(
     return ", and ".join(parts)
 
 
-def _lines_of_parts(t: Parts[Tracking], accuracy: float | None) -> Iterator[str]:
-    """Yield the lines of all segments; lines that several share are printed once."""
-    days = next(iter(t.found.values())).days
-    first, last = days[0].date, days[-1].date
-    yield (
-        f"{t.instrument}: {len(days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d}, of"
-        f" {counted(t.numbers, 'segment')}"
-        + (f", {len(t.failed)} without a law" if t.failed else "")
-    )
-    for day in days:
-        yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {day.name}"
-    for number in t.numbers:
-        if number in t.failed:
-            yield row(f"segment {number}", "no law")
-            continue
-        law = t.found[number]
-        yield f"  segment {number}, alpha at {_degrees(law.temperature)} on {law.date:%Y-%m-%d}"
-        for name, value in summary_rows(law):
-            yield f"  {row(name, value)}"
-    said: dict[str, set[int]] = {}
-    for number, fault, remedy in t.failures:
-        said.setdefault(f"{fault}; {remedy}", set()).add(number)
-    for number, law in t.found.items():
-        for line in (*remarks(law), *_validity_lines(law, accuracy)):
-            said.setdefault(line.strip(), set()).add(number)
-    for line, numbers in said.items():
-        yield f"  {numbered('segment', sorted(numbers))}: {line}"
-
-
 def _days(t: Tracking) -> list[dict[str, Any]]:
     columns = Columns(DAYS, "file", "date", "temperature", "verdict").of(t)
     return [dict(zip(columns, day, strict=True)) for day in zip(*columns.values(), strict=True)]
@@ -181,12 +145,9 @@ VALUES = Values(
 )  # fmt: skip
 
 
-def values(tracking: Tracking | Parts[Tracking], accuracy: float | None) -> dict[str, Any]:
+def values(tracking: Tracking, accuracy: float | None) -> dict[str, Any]:
     """Return the same values for a script."""
     t = tracking
-    if has_parts(t):
-        segments = t.values(lambda one: values(one, accuracy), fault_values)
-        return {"instrument": t.instrument, "segments": segments}
     validity = {} if accuracy is None else {"validity": validity_of(t, accuracy)}
     return {**VALUES.of(t), **validity}
 

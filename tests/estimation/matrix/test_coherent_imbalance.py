@@ -15,7 +15,12 @@ from truenewton.estimation.matrix.coherent_imbalance import (
     patterns_of,
     sensor_gains,
 )
-from truenewton.estimation.matrix.facts import MatrixFacts, negative_modes, symmetry_of
+from truenewton.estimation.matrix.facts import (
+    MatrixFacts,
+    doubts_of,
+    negative_modes,
+    symmetry_of,
+)
 from truenewton.estimation.matrix.modes import column_fit, columns_of
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.statics.arms import comparable_arms
@@ -111,6 +116,19 @@ def test_sound_matrices_are_not_doubtful(sound, method):
     levels = {name: tn.calibrate(each, method).verdict.level for name, (each, _) in sound.items()}
     assert len(levels) >= 6
     assert min(levels.values()) >= Level.USABLE, levels
+
+
+def test_stiff_negative_modes_are_not_excused_by_a_large_noise(p45):
+    """A tenth of the stiffness is noise: half of the modes are lost in it."""
+    exact, *_ = p45
+    k, random = np.asarray(exact.stiffness), np.random.default_rng(18)
+    for level, code in ((0.1, Code.NEGATIVE_MODES), (1e-3, Code.NEGATIVE_MODES_IN_NOISE)):
+        noisy_k = k + level * np.median(np.diag(k)) * random.standard_normal(k.shape)
+        facts = MatrixFacts(noisy_k, comparable_arms(exact.layout))
+        found = [*doubts_of(noisy_k, np.ones(45), symmetry_of(facts, np.ones(45)))]
+        [negative] = [each for each in found if each.code.startswith("negative-modes")]
+        assert negative.code is code
+        assert negative.level == ("doubtful" if code is Code.NEGATIVE_MODES else "usable")
 
 
 def gains_of_hexagon(log_gain, seed):

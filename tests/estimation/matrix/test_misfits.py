@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.balanced import START, p45_bench, p45_matrix
-from studies.simulated_matrices import by_glass, drawn
+from studies.simulated_matrices import by_glass, by_plate, drawn, hexagon, springs
 from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
@@ -225,6 +225,39 @@ def test_a_matrix_with_rows_in_the_wrong_order_is_refused(rows):
         screen_matrix(replace(matrix, stiffness=turned))
 
 
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        (lambda k: np.linalg.norm(k, axis=1), "norms of the rows"),
+        (lambda k: np.abs(k).sum(axis=1), "absolute sums of the rows"),
+        (np.diag, "own elements"),
+    ],
+)
+@pytest.mark.parametrize("kind", [float, np.float32])
+def test_a_matrix_of_rows_divided_by_their_size_is_refused(kind, sizes, said):
+    """Alpha of each row is lost, and the balance gives another one."""
+    matrix, _ = p45_matrix()
+    k = (matrix.stiffness / sizes(matrix.stiffness)[:, None]).astype(kind).astype(float)
+    with pytest.raises(RankDeficient, match=f"4[0-5] of 45 {said} of STIFFNESS are the same"):
+        screen_matrix(replace(matrix, stiffness=k))
+
+
+@pytest.mark.parametrize("stroke", [1e-6, 1e-5])
+def test_forces_at_rest_in_all_columns_are_the_cause(stroke):
+    """They leave the balance as it is; a rigid motion costs much, as in a transposed matrix."""
+    layout, random = hexagon(3), np.random.default_rng(16)
+    k = springs(layout, lambda square: square * np.log(square) / 1500.0)
+    k /= 1.0 + 0.02 * random.standard_normal((37, 1))
+    rest = 0.02 + 0.05 * random.standard_normal((37, 1))
+    [effect] = screen_matrix(StiffnessMatrix("H", START, layout, k + rest / stroke)).effects
+    assert effect.code == "forces-at-rest"
+    assert effect.remedy.startswith("subtract the forces at rest")
+    centre = np.argmin(np.hypot(layout.x, layout.y))
+    wrong = k * np.where(np.arange(37) == centre, 3.0, 1.0)
+    [effect] = screen_matrix(StiffnessMatrix("H", START, layout, wrong)).effects
+    assert effect.actuators == (layout.id[centre],)
+
+
 def displaced(order):
     """Return a sound matrix with the coordinates of other actuators."""
     matrix, _ = p45_matrix()
@@ -317,6 +350,19 @@ def test_a_sector_of_wrong_sensor_gains_is_found_without_false_positives():
     assert "its sensor gain is an outlier" in effect.name
 
 
+def test_actuators_that_fit_no_symmetry_are_named():
+    """Every sensor among ten reads a mixture of all ten: too many to be left out."""
+    matrix, _ = p45_matrix()
+    k, random = np.array(matrix.stiffness), np.random.default_rng(18)
+    some = slice(10, 20)
+    k[:, some] = k[:, some] @ (np.eye(10) + 0.2 * random.standard_normal((10, 10)))
+    [kept] = screen_matrix(replace(matrix, stiffness=k)).warnings
+    assert kept.code == "misfits-kept"
+    assert set(kept.actuators) <= set(matrix.layout.id[some].tolist())
+    assert len(kept.actuators) == kept.values["count"] > 4
+    assert ", ".join(map(str, kept.actuators[:-1])) in kept.fault
+
+
 def test_negative_alpha_of_the_balance_does_not_break_reciprocity():
     matrix, _ = p45_matrix()
     screened = screen_matrix(matrix)
@@ -369,3 +415,17 @@ def test_small_mirrors_give_an_answer_or_a_clear_refusal(n):
     for method in ("svd", "ml"):
         with pytest.raises(RankDeficient, match=f"{n} of {n} own elements .* are the same"):
             calibrate(StiffnessMatrix("R", START, truth.layout, hollow), method)
+
+
+@pytest.mark.parametrize("first", [10, 20])
+def test_sound_actuators_are_kept_if_sensors_are_off_their_magnets(first):
+    """At 0.5 mm, elements of distant pairs differ from their transposes, also in sign."""
+    bench, out = p45_bench(), list[int]()
+    for seed in range(first, first + 10):
+        random = np.random.default_rng([seed, 11])
+        values = drawn(random, 45, offset=5e-4)
+        k = by_plate(bench.mirror.layout, bench.truth.stiffness, values)
+        k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal(k.shape)
+        matrix = StiffnessMatrix("P45", START, bench.mirror.layout, k)
+        out += [seed] * bool(screen_matrix(matrix).effects)
+    assert out == []

@@ -116,17 +116,6 @@ def strong_pair_yields(coupling):
     return bool(couplings.pair_ratios(k)[1][0, 1] > 0.1)
 
 
-def misplaced(far, usual):
-    """A corner of a grid is found outside, all others at a usual distance (spacings)."""
-    places = np.array([(i, j) for i in range(5) for j in range(5)], dtype=float)
-    found = places + np.array([0.0, usual])
-    found[0] = [-far, 0.0]
-    size = np.sqrt(np.mean(places**2))
-    arms = np.stack([np.ones(25), *places.T])
-    with mock.patch.object(couplings, "projected", return_value=found / size):
-        return len(couplings.misplaced(np.zeros((3, 25)), arms))
-
-
 # -- misfits -------------------------------------------------------------------------------------
 
 
@@ -272,9 +261,6 @@ CASES = [
     ("NEAR_SPACINGS", explained_at, 11, True, 13, False),
     ("STRONG_COUPLING", is_weak, 0.049, True, 0.051, False),
     ("EQUAL_WEIGHT_COUPLING", strong_pair_yields, 0.09, True, 0.14, True),
-    ("MIN_PLACE_DISTANCE", lambda x: misplaced(x, 0.001), 0.29, 0, 0.31, 1),
-    ("MIN_PLACE_RATIO", lambda x: misplaced(x, 0.05), 0.49, 0, 0.51, 1),
-    ("MAX_TYPICAL_DISTANCE", lambda x: misplaced(3.5, x), 0.099, 1, 0.101, 0),
     ("MAX_ALPHA_RATIO", row_of_alpha, 2.9, 0, 3.1, 1),
     ("MIN_GAIN_FACTOR", sensor_gain, 1.09, False, 1.11, True),
     ("MIN_GAIN_DEVIATION", lambda x: sensor_gain(x, 0.02), 1.2, False, 1.3, True),

@@ -348,8 +348,8 @@ class Record:
     force_scatter: Array
     position: Array  # the reading along +z [m]
     position_scatter: Array
-    # (batch,) no mean reading changed by more than `MAX_DRIFT` between the halves: through the air
-    # film a steady drift pulls by 64 N s/m x 1 nm / 14 ms = 4 uN at most.
+    # (batch,) no mean reading changed by more than `MAX_DRIFT` between the halves: against
+    # the damping of P45 a steady drift pulls by 115 N s/m x 1 nm / 14 ms = 8 uN at most.
     settled: NDArray[np.bool_]
     # (n, batch) standard deviation of the mean force, by batch means [N]; None of a record too
     # short for it. Samples follow each other closely: of the forces, whose scatter is mostly what
@@ -369,7 +369,7 @@ def record(
     """Step from the flat mirror to each shape, (n, batch) [m], wait, and record.
 
     The pseudo-integrator would take some 100 ms. It is therefore set to its known end, and released
-    when the glass has crept there through the air film. ``settling`` is the time from the command
+    when the glass has crept there. ``settling`` is the time from the command
     to the first sample [s], by default what that takes. Growing noise is `LoopUnstable`.
     """
     swift = RAMP_TIME + CREEP_TIMES * slowest_creep(loop)

@@ -36,7 +36,7 @@ from truenewton.bench.simulated.truth import SegmentTruth, Truth
 from truenewton.errors import BenchFault, GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
-from truenewton.mirrors.shell.dynamics import film_damping, moving_mass
+from truenewton.mirrors.shell.dynamics import moving_mass
 from truenewton.mirrors.shell.shell_model import (
     ExternalForces,
     ShellModel,
@@ -210,14 +210,14 @@ def loop_of(bench: StaticBench) -> Loop:
     """Close the loop around the glass of a bench, its feed-forward as a calibration gives it."""
     shapes = static_shapes(bench.glass)
     mass, pucks = moving_mass(bench.glass, shapes)
-    # M z'' + C z' + K~ z = S' f, in terms of f
+    # M z'' + c S' S z' + K~ z = S' f, in terms of f
     to_forces = np.asarray(np.linalg.inv(pucks.T), dtype=float)
     softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(bench.mirror.layout.n)
     feed_forward = softer / bench.coils.alpha[:, None] * bench.sensors.gain
     return Loop(
         softer,
         to_forces @ mass,
-        to_forces @ film_damping(bench.glass, shapes),
+        bench.mirror.damping * pucks,
         bench.coils,
         bench.sensors,
         Control(feed_forward),

@@ -134,10 +134,6 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.SAME_READINGS: _of_input("two columns of FORCE are the same", "check their channels"),
     Code.ORDER_OF_POSITION: _of_input("order of FORCE is not that of POSITION", ORDER_OF_BOTH),
-    Code.MISPLACED_ACTUATOR: _of_input(
-        "actuator is not at its X and Y",
-        "correct X and Y in that row of ACTUATORS, in m",
-    ),
     Code.TWO_MIRRORS: _of_input(
         "two groups of files with different FORCE for the same SHAPE",
         "calibrate one of them alone, or correct the cause. Possible causes: two mirrors, another"
@@ -162,6 +158,10 @@ ENTRIES: dict[Code, Entry] = {
     Code.NEGATIVE_STIFFNESS: Entry("stiffness of the other sign", level=Level.USABLE),
     Code.DISORDERED_STIFFNESS: _of_input("coordinates in another order than STIFFNESS"),
     Code.INCOMPLETE_STIFFNESS: _of_input("forces missing in STIFFNESS"),
+    Code.FORCES_AT_REST: _of_input(
+        "all columns of STIFFNESS contain the same forces, as if those at rest had not been"
+        " subtracted"
+    ),
     Code.SYMMETRISED_STIFFNESS: _of_input(
         "STIFFNESS is symmetric, as if averaged with its transpose"
     ),
@@ -372,8 +372,10 @@ ENTRIES: dict[Code, Entry] = {
         "measure the stiffness with less noise, or calibrate with cycles under weights",
     ),
     Code.MISFITS_KEPT: _doubtful(
-        "{fault}; no actuator was left out",
-        "{advice}, and gains and positions of the sensors. Compare the balance of held-out modes",
+        "{count} of {n} actuators do not fit the others ({actuators:names actuator}), too many to"
+        " leave out: the matrix is far from symmetric, or its columns from balance",
+        "check X, Y, NZ, the order of rows and columns in STIFFNESS, and gains and positions of the"
+        " sensors. Compare the balance of held-out modes",
     ),
     Code.MANY_MISFITS: _doubtful(
         "{count} of {n} actuators do not fit the others: {actuators:names actuator}",
@@ -389,8 +391,8 @@ ENTRIES: dict[Code, Entry] = {
         "check order, sign and completeness of the matrix, and measure again with less noise",
     ),
     Code.NEGATIVE_MODES_IN_NOISE: _usable(
-        "the matrix has {count:count elastic mode} of negative stiffness, down to {lowest:.3g} N/m,"
-        " which its noise explains",
+        "the noise of the matrix exceeds the stiffness of its softest modes: {count:count elastic"
+        " mode} of negative stiffness, down to {lowest:.3g} N/m",
         "measure again with less noise before you use soft modes",
     ),
     Code.SYMMETRY_NOT_IMPROVED: _doubtful(
@@ -545,7 +547,6 @@ ENTRIES: dict[Code, Entry] = {
         "the comparison did not converge",
         "check that both matrices are complete and of one mirror",
     ),
-    Code.OF_SEGMENTS: _fact(None, "{segments:numbers segment}: {cause}{as_of}", "{advice}"),
     Code.NO_ALPHA: _fact(Level.NONE, "{fault}"),
     Code.OTHER: Entry("{}"),
 }

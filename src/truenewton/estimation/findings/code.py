@@ -62,7 +62,6 @@ class Code(StrEnum):
     OTHER_ROW = "other-row"
     SAME_READINGS = "same-readings"
     ORDER_OF_POSITION = "order-of-position"
-    MISPLACED_ACTUATOR = "misplaced-actuator"
     TWO_MIRRORS = "two-mirrors"
     CONSTANT_POSITION = "constant-position"
     UNUSABLE_CALIBRATION = "unusable-calibration"
@@ -78,6 +77,7 @@ class Code(StrEnum):
     NEGATIVE_STIFFNESS = "negative-stiffness"
     DISORDERED_STIFFNESS = "disordered-stiffness"
     INCOMPLETE_STIFFNESS = "incomplete-stiffness"
+    FORCES_AT_REST = "forces-at-rest"
     SYMMETRISED_STIFFNESS = "symmetrised-stiffness"
     TRANSPOSED_STIFFNESS = "transposed-stiffness"
     CLEANED_STIFFNESS = "cleaned-stiffness"
@@ -177,8 +177,7 @@ class Code(StrEnum):
     PAIR_GLASS = "pair-glass"
     PAIR_EXCESS = "pair-excess"
     PAIR_NOT_CONVERGED = "pair-not-converged"
-    # Several segments; no alpha at all.
-    OF_SEGMENTS = "of-segments"
+    # No alpha at all.
     NO_ALPHA = "no-alpha"
     # Found by another version, and kept as it was written.
     OTHER = "other"

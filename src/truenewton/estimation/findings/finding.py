@@ -12,7 +12,7 @@ from truenewton.errors import Fault
 from truenewton.estimation.findings.catalogue import ENTRIES, Entry
 from truenewton.estimation.findings.code import Code, Concern, Level
 from truenewton.files.values import Values
-from truenewton.rounding import counted, listed, named, numbered, percent
+from truenewton.rounding import counted, listed, named, percent
 from truenewton.statics.layout import Layout
 
 MAX_NAMED_ACTUATORS = 4  # that are named one by one in the place of a finding
@@ -21,8 +21,8 @@ MAX_NAMED_ACTUATORS = 4  # that are named one by one in the place of a finding
 class Words(string.Formatter):
     """Formats the values of a finding: the formats of Python, and some more.
 
-    'percent', 'count NOUN' (1 row, 2 rows), 'names NOUN' (actuators 3, 5 and 2 more), 'numbers
-    NOUN' (segments 1 to 3), 'list', 'sign A/B' (A if positive, otherwise B).
+    'percent', 'count NOUN' (1 row, 2 rows), 'names NOUN' (actuators 3, 5 and 2 more), 'list',
+    'sign A/B' (A if positive, otherwise B).
     """
 
     def format_field(self, value: Any, format_spec: str) -> str:
@@ -34,8 +34,6 @@ class Words(string.Formatter):
             return counted(value, noun)
         if kind == "names":
             return named(noun, value)
-        if kind == "numbers":
-            return numbered(noun, value)
         if kind == "list":
             return listed(value)
         if kind == "sign":

@@ -1,9 +1,5 @@
 """Couplings between the actuators of a matrix, and the positions that they imply.
 
-Three vectors that balance span T A diag(alpha), with the arms A, any (3, 3) T and any alpha. T
-follows from the declared positions by robust least squares (direct linear transformation). Its
-inverse gives the position of each actuator, whatever its alpha.
-
 Rigid motions cost a stiffness K no force: K (x, y) = 0. An error of one position costs that error
 times its column. Rows give the same of the position of the force. A gain of sensor or coil costs as
 much for piston as well, and a single wrong row or column shows on one side only.
@@ -23,8 +19,6 @@ STRONG_COUPLING = 0.05  # relative to both diagonal elements: minimum of a pair 
 EQUAL_WEIGHT_COUPLING = 0.1
 NEAR_SPACINGS = 6.0  # spacings within which actuators are coupled noticeably
 MIN_PLACE_DISTANCE = 0.3  # spacings from its X and Y, beyond which an actuator is misplaced
-MAX_TYPICAL_DISTANCE = 0.1  # spacings: median distance if the inferred positions can be used
-MIN_PLACE_RATIO = 10.0  # distance relative to the median of all
 ELSEWHERE = "not at its X and Y"
 
 
@@ -79,45 +73,6 @@ def typical_spacing(a: Array) -> float:
     distance = np.hypot(a[1][:, None] - a[1], a[2][:, None] - a[2])
     np.fill_diagonal(distance, np.inf)
     return float(np.median(distance.min(axis=1)))
-
-
-def projected(seen: Array, arms: Array) -> Array:
-    """Return the (n, 2) positions of the forces, if most of them are at (3, n) arms."""
-    n = arms.shape[1]
-    a = arms / np.linalg.norm(arms, axis=0)
-    b = seen / np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
-    nothing = np.zeros(n)
-    cross = np.array([[nothing, -b[2], b[1]], [b[2], nothing, -b[0]], [-b[1], b[0], nothing]])
-    equations = np.einsum("uvi,wi->iuvw", cross, a).reshape(n, 3, 9)
-    weight, place = np.ones(n), np.zeros((n, 2))
-    for _ in range(30):  # each with what lies far left out
-        gram = np.einsum("i,iup,iuq->pq", weight, equations, equations, optimize=True)
-        projection = np.linalg.eigh(gram)[1][:, 0].reshape(3, 3)
-        found = np.linalg.pinv(projection) @ seen
-        size = np.where(np.abs(found[0]) > 1e-9 * np.abs(found).max(), found[0], np.inf)
-        place = (found[1:] / size).T
-        far = np.linalg.norm(place - (arms[1:] / arms[0]).T, axis=1)
-        weight = 1.0 / (1.0 + (far / max(float(np.median(far)), 1e-12)) ** 2) ** 2
-    return np.asarray(place)
-
-
-def misplaced(seen: Array, arms: Array) -> dict[int, tuple[float, float]]:
-    """Return x and y of each actuator that is misplaced; none if most positions are uncertain.
-
-    ``seen`` is (3, n) T A diag(alpha), ``arms`` (3, n) A of the declared positions. The inferred
-    position must be free.
-    """
-    places = (arms[1:] / arms[0]).T
-    size = np.sqrt(np.mean(places**2))
-    found = size * projected(seen, arms / np.array([[1.0], [size], [size]]))
-    own, spacing = np.linalg.norm(found - places, axis=1), typical_spacing(arms / arms[0])
-    usual = float(np.median(own))
-    away = np.flatnonzero(own > max(MIN_PLACE_DISTANCE * spacing, MIN_PLACE_RATIO * usual)).tolist()
-    few = max(1, LIMITS.misfit_fraction * len(own))
-    if usual > MAX_TYPICAL_DISTANCE * spacing or len(away) > few:
-        return {}
-    x, y = arms[0] * found.T
-    return {i: (float(x[i]), float(y[i])) for i in away if _is_free(places, i, found[i], spacing)}
 
 
 def displaced(k: Array, arms: Array) -> Array:

@@ -140,6 +140,18 @@ class MatrixFacts:
         return imbalance < 2.0 * float(np.median(rounded))
 
     @property
+    def without_forces_at_rest(self) -> MatrixFacts:
+        """The same without the forces f of K + f 1', as the stiffness K is almost symmetric.
+
+        Then f_i - f_j is the asymmetry of almost all pairs. Their mean follows from piston, which
+        costs no force. Both are of the median pair, so that single wrong sensors do not imitate f.
+        """
+        k = self.stiffness
+        force = np.median(k - k.T, axis=1)
+        force += float(np.mean(k)) - force.mean()
+        return MatrixFacts(k - force[:, None], self.arms)
+
+    @property
     def looks_transposed(self) -> bool:
         """Whether the rigid-body residual is much larger than the column imbalance."""
         costs_more = self.rigid_cost > TRANSPOSED_COST_RATIO * self.imbalance
@@ -187,7 +199,10 @@ def doubts_of(commanded: Array, alpha: Array, symmetry: Symmetry) -> Iterator[Fi
     """Yield evidence against an (n, n) matrix or its (n,) alpha."""
     negative, by_noise = negative_modes(commanded, alpha)
     if negative.size:
-        beyond = -negative[0] > LIMITS.negative_edges * by_noise
+        own = float(np.median(np.abs(alpha * np.diag(commanded))))
+        # A noise that makes stiff modes negative is no excuse.
+        allowed = min(LIMITS.negative_edges * by_noise, MAX_SENSOR_COST * own)
+        beyond = -negative[0] > allowed
         yield Finding.of(
             Code.NEGATIVE_MODES if beyond else Code.NEGATIVE_MODES_IN_NOISE,
             count=negative.size,

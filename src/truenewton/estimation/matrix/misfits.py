@@ -236,6 +236,7 @@ COLUMN_IMBALANCE_RATIO = 12.0  # imbalance of a column relative to the median
 # Smallest asymmetry (relative to the couplings) or imbalance (to the diagonal) of a misfit.
 MIN_MISFIT = 0.05
 ELEMENT_RATIO = 30.0  # asymmetry, relative to elements of similar size and of the two actuators
+NORMAL_TAIL = 3.8  # 99 % quantile of the absolute values of normal noise, relative to their median
 MIN_ELEMENT_DIFFERENCE = 0.01  # from the transpose, relative to the diagonal
 MIN_EXCHANGE_GAIN = 1.2  # misfit relative to that after an exchange; sound neighbours reach 0.6
 
@@ -270,8 +271,12 @@ class BadActuator:
         return REMAINING_FORCES.get(self.reason, 0.0)
 
 
-class FitsNoSymmetry(RankDeficient):
-    """Too many misfits: the bad actuators cannot be identified."""
+class FitsNoSymmetry(Exception):
+    """Too many actuators, by their indices, do not fit; ``certain`` if by their order or sign."""
+
+    def __init__(self, indices: Sequence[int], *, certain: bool) -> None:
+        self.indices, self.certain = indices, certain
+        super().__init__(f"{len(indices)} misfits")
 
 
 def bad_actuators(
@@ -286,9 +291,9 @@ def bad_actuators(
     Raises
     ------
     RankDeficient
-        Many rows or columns have the wrong order or sign.
+        Most rows have the wrong order.
     FitsNoSymmetry
-        There are too many other misfits.
+        There are too many misfits.
     """
     found: dict[int, BadActuator] = {}
     k, a, n = facts.stiffness, facts.arms, len(facts.stiffness)
@@ -297,12 +302,7 @@ def bad_actuators(
         for index, size in sizes:
             found.setdefault(int(index), BadActuator(int(index), reason, float(size)))
         if len(found) > max(2, LIMITS.misfit_fraction * n):
-            certain = reason in (OTHER_ORDER, OTHER_SIGN)
-            raise (RankDeficient if certain else FitsNoSymmetry)(
-                f"{len(found)} of {n} actuators do not fit the others: the matrix is far from"
-                " symmetric, or its columns from balance",
-                remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
-            )
+            raise FitsNoSymmetry(sorted(found), certain=reason in (OTHER_ORDER, OTHER_SIGN))
 
     order = row_order(k)
     moved = np.flatnonzero(order != np.arange(n))
@@ -432,7 +432,9 @@ def _mend_elements(
     for hole in holes.T:
         explained |= np.hypot(a[1] - hole[1], a[2] - hole[2]) < 0.5 * NEAR_SPACINGS * spacing
     c = relative_couplings(k)
-    difference, level = np.abs(c - c.T), np.abs(c + c.T)
+    difference, size_of_both = np.abs(c - c.T), np.abs(c) + np.abs(c.T)
+    # Two small elements of opposite sign are no smaller for having a small sum.
+    level = np.maximum(np.abs(c + c.T), np.minimum(size_of_both, 2.0 * MIN_ELEMENT_DIFFERENCE))
     upper = np.triu_indices(len(k), 1)
     times, usual = np.zeros_like(c), np.zeros(len(upper[0]))
     order = np.argsort(level[upper], kind="stable")
@@ -441,10 +443,11 @@ def _mend_elements(
     times[upper] = difference[upper] / np.maximum(usual, 1e-300)
     times += times.T
     usual = np.maximum(np.median(times, axis=1), 1.0)
-    wrong = (times > ELEMENT_RATIO * np.maximum(usual[:, None], usual)) & (
-        difference > MIN_ELEMENT_DIFFERENCE
-    )
-    pairs = np.argwhere(np.triu(wrong, 1))
+    far = times / np.maximum(usual[:, None], usual)
+    wrong = (far > ELEMENT_RATIO) & (difference > MIN_ELEMENT_DIFFERENCE)
+    # Sensors off their magnets make a tail longer than that of noise: there, the balance decides.
+    certain = ELEMENT_RATIO * max(1.0, float(np.quantile(far[upper], 0.99)) / NORMAL_TAIL)
+    pairs, middle = np.argwhere(np.triu(wrong, 1)), float(np.median(size))
     for i, j in pairs[np.argsort(-times[tuple(pairs.T)], kind="stable")]:
         if explained[i] and explained[j]:
             continue
@@ -452,8 +455,11 @@ def _mend_elements(
         in_j, in_i = rho[:, j] - excess / own[j] * a[:, i], rho[:, i] + excess / own[i] * a[:, j]
         better_j = np.linalg.norm(in_j) * size[i] < np.linalg.norm(in_i) * size[j]
         row, column = (i, j) if better_j else (j, i)
-        rho[:, column] = in_j if better_j else in_i
-        size[column] = np.linalg.norm(rho[:, column])
+        balance = in_j if better_j else in_i
+        seen = max(MIN_IMBALANCE_RATIO * middle, np.linalg.norm(balance) / MAX_GAIN_REMAINDER)
+        if far[i, j] < certain and size[column] < seen:
+            continue
+        rho[:, column], size[column] = balance, np.linalg.norm(balance)
         k[row, column] = k[column, row]
         out.append((int(row), float(times[i, j])))
     limit = np.maximum(COLUMN_IMBALANCE_RATIO * np.median(size) * usual, MIN_MISFIT)

@@ -40,6 +40,10 @@ MIN_COST_RATIO = 3.0  # rigid-body residual in this order relative to the right 
 MIN_EXPLAINED_COUPLING = 0.65  # fraction of the squared couplings that distance explains
 # Column imbalance relative to the diagonal. Measured matrices have more, as alpha differs from 1.
 MIN_MEASURED_IMBALANCE = 0.02
+MAX_SAME = 1e-6  # relative difference of equal numbers, in single precision
+# Rigid-body residual with and without the same force in all columns. It is 1.1 if there is none,
+# and 1.4 if the sensor in the centre is wrong.
+MIN_REST_COST_RATIO = 2.0
 MAX_SOFTEST_COST = 1.5  # rigid-body residual relative to an arbitrary motion; small for a stiffness
 
 
@@ -55,16 +59,21 @@ def refuse_no_stiffness(k: Array) -> None:
             f"STIFFNESS is {fault}",
             remedy="store the forces of all actuators for a displacement of each",
         )
-    typical = float(np.median(own))
-    if len(k) < MIN_JUDGED_ACTUATORS and typical:
+    if len(k) < MIN_JUDGED_ACTUATORS and np.median(own):
         return
-    same = np.count_nonzero(np.abs(own - typical) <= 1e-9 * abs(typical))
-    if 2 * same > len(k):
-        raise RankDeficient(
-            f"{same} of {len(k)} own elements of STIFFNESS are the same number, {typical:.3g}: rows"
-            " were divided by them, or cut off at a limit",
-            remedy="give the matrix as it was measured",
-        )
+    for name, sizes in (
+        ("own elements", own),
+        ("norms of the rows", np.linalg.norm(k, axis=1)),
+        ("absolute sums of the rows", np.abs(k).sum(axis=1)),
+    ):
+        typical = float(np.median(sizes))
+        same = np.count_nonzero(np.abs(sizes - typical) <= MAX_SAME * abs(typical))
+        if 2 * same > len(k):
+            raise RankDeficient(
+                f"{same} of {len(k)} {name} of STIFFNESS are the same number, {typical:.3g}: rows"
+                " were divided by them, or cut off at a limit",
+                remedy="give the matrix as it was measured",
+            )
 
 
 def refuse_compliance(facts: MatrixFacts, layout: Layout) -> None:
@@ -152,6 +161,20 @@ def order_effects(facts: MatrixFacts, layout: Layout) -> Iterator[Finding]:
                 remedy="look for elements that are zero, cut off at a limit or in another unit, and"
                 " check X and Y",
             )
+
+
+def rest_effects(facts: MatrixFacts) -> Iterator[Finding]:
+    """Yield a finding if all columns contain the same forces."""
+    if len(facts.stiffness) < MIN_JUDGED_ACTUATORS:
+        return
+    if facts.rigid_cost > MIN_REST_COST_RATIO * facts.without_forces_at_rest.rigid_cost:
+        yield Finding(
+            code=Code.FORCES_AT_REST,
+            size=facts.rigid_cost,
+            unit="of the own stiffness, to move it rigidly",
+            remedy="subtract the forces at rest from each column of STIFFNESS before it is divided"
+            " by the displacement",
+        )
 
 
 def balance_effects(facts: MatrixFacts) -> Iterator[Finding]:

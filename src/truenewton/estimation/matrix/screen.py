@@ -38,6 +38,7 @@ from truenewton.estimation.matrix.order import (
     orientation_effects,
     refuse_compliance,
     refuse_no_stiffness,
+    rest_effects,
 )
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -76,7 +77,8 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     refuse_no_stiffness(k)
     refuse_compliance(facts, matrix.layout)
     of_order = tuple(order_effects(facts, matrix.layout))
-    disorder = (*(each for each in of_order if each.detail), *balance_effects(facts))
+    named_orders = (each for each in of_order if each.detail)
+    disorder = (*rest_effects(facts), *named_orders, *balance_effects(facts))
     if disorder:  # single actuators cannot be judged then
         n = len(k)
         return ScreenedMatrix(matrix, facts, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
@@ -94,7 +96,11 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
             measured = facts if k is facts.stiffness and not off.any() else None
             found, k = _mended(k, a, off, [each.index for each in half], measured)
         except FitsNoSymmetry as error:
-            unsure = (Finding.of(Code.MISFITS_KEPT, fault=error.fault, advice=error.remedy),)
+            names = ids[~off][error.indices]
+            kept = Finding.of(Code.MISFITS_KEPT, count=len(names), n=len(ids), actuators=names)
+            if error.certain:
+                raise RankDeficient(kept.fault, remedy=kept.remedy) from None
+            unsure = (kept,)
     known = {each.index for each in half}
     bad = (*(each for each in found if each.index not in known), *half)
     good, doubt = np.asarray(~off, dtype=np.bool_), np.zeros(len(k))

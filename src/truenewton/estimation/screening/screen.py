@@ -100,10 +100,6 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
         *columns_of_other_rows(campaign, repeats.moments),
         *frozen_readings(campaign, prints),
     )
-    by_force = noise_by_force(campaign, prints)
-    if by_force:
-        where = f"{percent(by_force)} of its variance"
-        suspects += (Finding(code=Code.NOISE_BY_FORCE, size=by_force, where=where),)
     clipped = clipped_readings(campaign, prints)
     refusal: TooManyOutliers | None = None
     try:
@@ -123,19 +119,28 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
                 raise refusal
         except TooManyOutliers as error:
             suspects += () if apart else _relabelled(campaign, prints, range(len(campaign)))
+            suspects = suspects or louder_with_force(campaign, prints)
             raise with_suspects(error, suspects + clipped) from None
     lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign))
     valid = np.array([cycle.valid.sum() for cycle in campaign.cycles])
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
     suspects += () if apart else _relabelled(campaign, prints, affected)
-    moments, frozen = replace(repeats.moments, by_force=by_force), tuple[Finding, ...]()
+    # Rounding is no normal noise, and files that are not what they claim make noise of their own.
+    louder = () if suspects or np.any(step) else louder_with_force(campaign, prints)
+    suspects += louder
+    moments, frozen = repeats.moments, tuple[Finding, ...]()
+    moments = replace(moments, by_force=sum(each.size for each in louder))
     noise = reading_noise(sound, moments)
     if (displacement := _displacement(repeats.rows, sound)) is not None:
         frozen = tuple(frozen_sensors(campaign))
         displacement[:, still_sensors(campaign).any(axis=0)] = 0.0
         moments = replace(moments, displacement=displacement)
     moments, structure = pooled_where_it_fits(moments, noise, repeats.scatter.samples)
-    unlike = () if suspects else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
+    unlike = (
+        ()
+        if len(suspects) > len(louder)
+        else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
+    )
     return ScreenedCampaign(
         campaign,
         sound,
@@ -149,6 +154,13 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
         unlike,
         frozen,
     )
+
+
+def louder_with_force(campaign: Campaign, prints: Sequence[Prints]) -> tuple[Finding, ...]:
+    """Return that noise grows with the force, if it does."""
+    share = noise_by_force(campaign, prints)
+    where = f"{percent(share)} of its variance"
+    return (Finding(code=Code.NOISE_BY_FORCE, size=share, where=where),) if share else ()
 
 
 def noise_by_force(campaign: Campaign, prints: Sequence[Prints]) -> float:

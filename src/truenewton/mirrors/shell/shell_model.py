@@ -205,16 +205,14 @@ def _resultants_on_glass(mirror: Mirror, external: ExternalForces) -> Array:
 class StaticShapes:
     """The shapes of a glass with one actuator reading 1 and the others 0."""
 
-    # x and y of points along the glass [m], and (points,) the area that each stands for [m^2]
-    at: Points
-    area: Array
+    area: Array  # (points,) that each point along the glass stands for [m^2]
     shape: Array  # (points, n) displacement per reading
 
 
 def static_shapes(glass: ShellModel) -> StaticShapes:
     """Return the influence functions of a glass at the points of a quadrature over it."""
     at, area = glass.free.quadrature(glass.mirror.layout.n)
-    return StaticShapes(at, area, shapes_at(glass, at))
+    return StaticShapes(area, shapes_at(glass, at))
 
 
 def shapes_at(glass: ShellModel, at: Points, over: Annulus | None = None) -> Array:

@@ -22,7 +22,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import AnyCalibration, Calibration
+from truenewton.calibration.result import Calibration
 from truenewton.calibration.summary import (
     LABELS,
     NOISE_PART,
@@ -54,7 +54,6 @@ from truenewton.modal.summary import (
 )
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Source
-from truenewton.records.parts import Parts, by_number
 from truenewton.report.figures import columns_of_shapes, findings_figures
 from truenewton.report.findings import (
     Evidence,
@@ -70,8 +69,8 @@ from truenewton.report.page.views import (
     palette,
     shown_outliers,
 )
-from truenewton.report.verdict import Reported, headline_of, of_comparison, of_segments, sources_of
-from truenewton.rounding import counted, percent, significant, with_error
+from truenewton.report.verdict import Reported, headline_of
+from truenewton.rounding import counted, percent, significant
 
 # Bokeh's script, part of the page: only what the figures need.
 BOKEH = Resources(mode="inline", components=["bokeh"], minified=True)
@@ -124,23 +123,18 @@ def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> 
     look: Section | None = None
     drawn: dict[str, str] = {}
     actuators: Actuators | None = None
-    if of_comparison(findings):
+    if isinstance(findings, Comparison):
         title, heading = f"{findings.instrument}: what changed", findings.summary().split("\n")[0]
         actuators, tables = change_views(findings, edges), []
-        sections = tuple(comparison_sections(findings))
-    elif of_segments(findings):
-        title, heading = f"{findings.instrument}: calibration of its segments", headline(findings)
-        actuators, sections = calibration_views(findings, None, edges), segment_sections(findings)
-        look = what_to_look_at(findings, actuators.layers, ())
-        tables = [_files(sources_of(findings), "Files")]
+        sections = (changes_section(findings),)
     elif isinstance(findings, Change):
         title = f"{findings.one.instrument}: what changed"
         heading = f"{findings.one.instrument}: two calibrations compared"
         actuators = change_views(findings, edges)
         tables = [
             _summaries(findings),
-            _files(sources_of(findings.one), "First calibration: files"),
-            _files(sources_of(findings.other), "Second calibration: files"),
+            _files(findings.one.sources, "First calibration: files"),
+            _files(findings.other.sources, "Second calibration: files"),
         ]
     else:
         c, instrument = findings.calibration, findings.data.instrument
@@ -174,39 +168,31 @@ def page(findings: Reported, command: str = "", edges: Sequence[Array] = ()) -> 
     )  # fmt: skip
 
 
-def comparison_sections(c: Comparison | Parts[Comparison]) -> Iterator[Section]:
-    """Yield what changed, and the couplings that changed by themselves, of each segment."""
-    for number, one in by_number(c).items():
-        key, title = (
-            (f"segment-{number}", f"Segment {number}") if number else ("changes", "Changes")
-        )
-        couplings = tuple((str(i), str(j), percent(size)) for i, j, size in one.couplings)
-        yield Section(
-            key,
-            title,
-            tuple(f"Undetectable here: {text}." for text in UNDETECTABLE),
-            tables=(
-                TextTable(
-                    "Actuators that changed",
-                    ("actuator", "alpha, new / old", "sensor gain, new / old"),
-                    tuple(changed_actuators(one)),
-                ),
-                TextTable(
-                    "Couplings that changed by themselves",
-                    ("actuator", "sensor", "change relative to the diagonal"),
-                    couplings,
-                ),
-                TextTable(
-                    "All numbers", ("quantity", "value", "note"), tuple(figures(one)), wraps=True
-                ),
+def changes_section(c: Comparison) -> Section:
+    """Return what changed, and the couplings that changed by themselves."""
+    couplings = tuple((str(i), str(j), percent(size)) for i, j, size in c.couplings)
+    return Section(
+        "changes",
+        "Changes",
+        tuple(f"Undetectable here: {text}." for text in UNDETECTABLE),
+        tables=(
+            TextTable(
+                "Actuators that changed",
+                ("actuator", "alpha, new / old", "sensor gain, new / old"),
+                tuple(changed_actuators(c)),
             ),
-        )
+            TextTable(
+                "Couplings that changed by themselves",
+                ("actuator", "sensor", "change relative to the diagonal"),
+                couplings,
+            ),
+            TextTable("All numbers", ("quantity", "value", "note"), tuple(figures(c)), wraps=True),
+        ),
+    )
 
 
 def _summaries(change: Change) -> TextTable:
-    if change.segments:
-        return changed_segments(change)
-    pair = [c for c in (change.one, change.other) if isinstance(c, Calibration)]
+    pair = change.one, change.other
     one, other = ({name: value for name, value, _ in summary_rows(c)} for c in pair)
     rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in pair)),
             ("method", *(c.method for c in pair))]  # fmt: skip
@@ -230,7 +216,6 @@ def _payload(actuators: Actuators) -> dict[str, Any]:
     return {
         "documents": {"report": document.to_json(deferred=False)},
         "places": [{"docid": "report", "roots": hosts, "root_ids": list(hosts)}],
-        "group": actuators.group,
         "layers": [
             {name: getattr(layer, name) for name in ("key", "name", "unit", "title")}
             | {
@@ -282,10 +267,8 @@ class Section:
 
     @property
     def shows(self) -> bool:
-        """Whether it has a figure or a table, or is that of a segment; otherwise it is a note."""
-        return bool(self.figure or self.key.startswith("segment")) or not all(
-            table.wide for table in self.tables
-        )
+        """Whether it has a figure or a table; otherwise it is a note."""
+        return bool(self.figure) or not all(table.wide for table in self.tables)
 
 
 NO_DATA = (
@@ -322,7 +305,7 @@ def worst_residuals(findings: Findings) -> Iterator[tuple[str, str, str]]:
 
 
 def what_to_look_at(
-    c: AnyCalibration, layers: Sequence[Layer], worst: Iterable[tuple[str, str, str]]
+    c: Calibration, layers: Sequence[Layer], worst: Iterable[tuple[str, str, str]]
 ) -> Section | None:
     """Return the worst residuals, and actuators that are disabled, in findings, or outliers."""
     ids, rows = c.layout.shown, list(worst)
@@ -478,46 +461,6 @@ def all_figures(c: Calibration) -> TextTable:
     """Return name, value and note of all figures of a calibration."""
     rows = tuple(summary_rows(c))
     return TextTable("All numbers", ("quantity", "value", "note"), rows, wraps=True)
-
-
-def segment_sections(c: Parts[Calibration]) -> tuple[Section, ...]:
-    """Return the segments side by side, then one after the other."""
-    words = (
-        "Each segment is calibrated separately, with its own weight, B and torques. If the command"
-        f" at the end of this page was given data, add --segment {c.numbers[0]} for a page with"
-        " residuals and modes of one segment."
-    )
-    head = ("segment", "range of alpha", "verdict, error and B")
-    table = TextTable(counted(c.numbers, "segment"), head, tuple(summary_rows(c)), wraps=True)
-    sections = [Section("segments", "Segments", (words,), tables=(table,))]
-    for number in c.numbers:
-        key, title = f"segment-{number}", f"Segment {number}"
-        if number in c.failed:
-            told = ("No alpha.", *map(as_sentences, c.failed[number]))
-            sections.append(Section(key, title, told))
-            continue
-        one = c.found[number]
-        told = (f"{headline(one)}. Verdict: {one.verdict.level}.",
-                *map(as_sentences, one.verdict.faults))  # fmt: skip
-        sections.append(Section(key, title, told, tables=(all_figures(one),)))
-    return tuple(sections)
-
-
-def changed_segments(change: Change) -> TextTable:
-    """Return the table of what changed, by segment."""
-    rows = []
-    for number in change.one.layout.segments:
-        part = change.segments.get(number)
-        if part is None:
-            rows.append((str(number), "no alpha in one of them", "", ""))
-            continue
-        farthest = int(np.nanargmax(np.abs(part.sigmas)))
-        known = np.isfinite(part.ratio_error)
-        ratio = with_error(part.ratio, part.ratio_error) if known else f"{part.ratio:.4f}"
-        largest = f"{part.sigmas[farthest]:+.1f} sigma, actuator {part.one.layout.id[farthest]}"
-        rows.append((str(number), ratio, str(part.changed.size), largest))
-    head = ("segment", "common ratio, second to first", "changed actuators", "largest change")
-    return TextTable(counted(rows, "segment"), head, tuple(rows))
 
 
 def modal_sections(findings: Findings) -> Iterator[Section]:

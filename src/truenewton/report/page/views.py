@@ -31,10 +31,11 @@ from bokeh.models import (
 from bokeh.models.annotations import ColorBar, Label, Span
 from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.layers import layers_of
-from truenewton.calibration.result import AnyCalibration
+from truenewton.calibration.result import Calibration
 from truenewton.comparison.calibrations import Change
 from truenewton.comparison.result import AnyChange, change_layers
 from truenewton.figures.layers import Layer
@@ -48,7 +49,6 @@ from truenewton.figures.maps import (
     ring_label,
     ring_names,
     ring_radii,
-    segment_places,
     shown_rings,
 )
 from truenewton.figures.style import (
@@ -64,7 +64,7 @@ from truenewton.figures.style import (
 )
 from truenewton.report.findings import Evidence
 from truenewton.rounding import counted
-from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
+from truenewton.statics.layout import Layout, ring_centre, ring_of
 
 FONT = "system-ui, sans-serif"
 OUTSIDE = ("x0", "y0", "x", "y", "id", "align")  # of IDs around the map, each with a line
@@ -76,7 +76,7 @@ def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSour
     columns: dict[str, Any] = {
         "id": layout.id.astype(np.int32),
         "called": layout.shown.tolist(),
-        group_name(layout): _shown_groups(layout),
+        "ring": _rings(layout),
         "x": layout.x / MILLIMETRE,
         "y": layout.y / MILLIMETRE,
         "number": numbers_by_ring(layout).astype(np.int32),
@@ -91,10 +91,9 @@ def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSour
     return ColumnDataSource(columns, name="actuators")
 
 
-def _shown_groups(layout: Layout) -> Any:
-    """Return (n,) the ring of each actuator from 1, or the number of its segment."""
-    shown = np.asarray(layout.segment) if layout.segments else group_of(layout) + 1
-    return shown.astype(np.int32)
+def _rings(layout: Layout) -> NDArray[np.int32]:
+    """Return (n,) the ring of each actuator from 1."""
+    return (ring_of(layout) + 1).astype(np.int32)
 
 
 def mirror_map(
@@ -143,17 +142,11 @@ def mirror_map(
     plot.text(x="x", y="y", text={"field": "id"}, source=outside, text_color=ALARM,
               text_font=value(FONT), text_font_size="0.75em", text_baseline="middle",
               text_align={"field": "align"})  # fmt: skip
-    if places := segment_places(layout):
-        names, at_x, at_y = zip(*((str(k), x, y) for k, x, y in places), strict=True)
-        plot.text(x=at_x, y=at_y, text=names, text_color=INK,
-                  text_font=value(FONT), text_font_style="bold", text_font_size="1.1em",
-                  text_align="center", text_baseline="middle", padding=1, border_radius=3,
-                  background_fill_color="white", background_fill_alpha=0.8)  # fmt: skip
     bar = ColorBar(color_mapper=mapper, title=layers[0].title, name="bar", height=12,
                    title_text_font_style="normal", title_text_font=FONT,
                    major_label_text_font=FONT)  # fmt: skip
     plot.add_layout(bar, "below")
-    _add_actuator_tools(plot, dots, layout, layers)
+    _add_actuator_tools(plot, dots, layers)
     return plot
 
 
@@ -173,11 +166,11 @@ def shown_outliers(layer: Layer, layout: Layout) -> dict[str, Any]:
 
 
 def alpha_by_ring(
-    source: ColumnDataSource, calibration: AnyCalibration, layers: tuple[Layer, ...]
+    source: ColumnDataSource, calibration: Calibration, layers: tuple[Layer, ...]
 ) -> Plot:
     """Return alpha by ring, with grey bars of 3 E_STAT."""
     plot, layout = _empty_plot(), calibration.layout
-    alpha, error = calibration.column("alpha"), calibration.column("statistical_error")
+    alpha, error = calibration.alpha, calibration.statistical_error
     source.data["low"], source.data["high"] = alpha - 3 * error, alpha + 3 * error
     plot.segment(x0="number", x1="number", y0="low", y1="high", source=source, line_color=FAINT,
                  nonselection_line_alpha=0.2)  # fmt: skip
@@ -244,11 +237,11 @@ def _actuator_points(
     if rings := ring_names(layout):
         plot.add_layout(_axis(rings), "below" if layout.n >= BY_RING else "above")
     if rings and layout.n >= BY_RING:  # as ticks, instead of actuators
-        actuators, groups = plot.below
-        actuators.visible, groups.axis_label = False, group_name(layout)
+        actuators, numbers = plot.below
+        actuators.visible, numbers.axis_label = False, "ring"
     plot.x_range.range_padding = 0.04  # the first and the last dot shall not be cut
     plot.y_range.range_padding = 0.15
-    _add_actuator_tools(plot, dots, layout, layers)
+    _add_actuator_tools(plot, dots, layers)
 
 
 def _axis(names: dict[float, str]) -> LinearAxis:
@@ -278,10 +271,9 @@ def _empty_plot(**size: Any) -> Plot:
     return plot
 
 
-def _add_actuator_tools(plot: Plot, dots: Any, layout: Layout, layers: tuple[Layer, ...]) -> None:
+def _add_actuator_tools(plot: Plot, dots: Any, layers: tuple[Layer, ...]) -> None:
     """Add tooltips, and tools that select actuators in all views."""
-    group = group_name(layout)
-    tooltips = [("actuator", "@called"), (group, f"@{group}"), ("x, y", "@x{0.0}, @y{0.0} mm")]
+    tooltips = [("actuator", "@called"), ("ring", "@ring"), ("x, y", "@x{0.0}, @y{0.0} mm")]
     tooltips += [(layer.name, f"@{layer.key}_text {layer.unit}".rstrip()) for layer in layers]
     plot.add_tools(
         HoverTool(renderers=[dots], tooltips=tooltips, visible=False),
@@ -310,32 +302,26 @@ class Actuators:
     layers: tuple[Layer, ...]
     views: tuple[View, View]
 
-    @property
-    def group(self) -> str:
-        """'ring' or 'segment': the groups of the second figure and the table."""
-        return group_name(self.layout)
-
 
 def calibration_views(
-    c: AnyCalibration, evidence: Evidence | None, edges: Sequence[Array] = ()
+    c: Calibration, evidence: Evidence | None, edges: Sequence[Array] = ()
 ) -> Actuators:
     """Return the views of alpha; edges of the glass are (vertices, 2) polygons [m]."""
     layers = layers_of(c, evidence)
-    source, group = actuator_source(c.layout, layers), group_name(c.layout)
-    groups, alpha = _shown_groups(c.layout), c.column("alpha")
-    known = np.unique(groups[np.isfinite(alpha)]).tolist()
-    means = ", ".join(f"{k}: {np.nanmean(alpha[groups == k]):.3f}" for k in known)
-    by = f"by {group}" if len(known) > 1 else "by actuator"
+    source, rings, alpha = actuator_source(c.layout, layers), _rings(c.layout), c.alpha
+    known = np.unique(rings[np.isfinite(alpha)]).tolist()
+    means = ", ".join(f"{k}: {np.nanmean(alpha[rings == k]):.3f}" for k in known)
+    by = "by ring" if len(known) > 1 else "by actuator"
     by_ring = View("rings", f"Alpha {by}", alpha_by_ring(source, c, layers),
                    "Bars: ±3 σ_stat, hidden if smaller than the symbols.",
-                   f"Mean alpha by {group}: {means}.")  # fmt: skip
+                   f"Mean alpha by ring: {means}.")  # fmt: skip
     return _with_map("Map of the mirror", source, c.layout, layers, edges, by_ring)
 
 
 def change_views(change: AnyChange, edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of what changed; edges (vertices, 2) [m]."""
     layers, layout, limit = change_layers(change), change.layout, np.nan
-    source, title = actuator_source(layout, layers), f"Change by {group_name(layout)}"
+    source, title = actuator_source(layout, layers), "Change by ring"
     caption = "New alpha / old alpha, relative to the mean of the actuators that did not change."
     if isinstance(change, Change):
         limit = change.limit

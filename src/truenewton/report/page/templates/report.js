@@ -24,7 +24,6 @@
   const mapper = models.get_model_by_name("colours");
   const bar = models.get_model_by_name("bar");
   const layers = payload.layers;
-  const group = payload.group;
   const data = (key) => source.get_column(key);
   const ids = [...data("id")];
   const all = ids.map((_, k) => k);
@@ -66,7 +65,7 @@
   };
   const describe = (k) => {
     const table = document.createElement("table");
-    const lines = [["actuator", data("called")[k]], [group, data(group)[k]],
+    const lines = [["actuator", data("called")[k]], ["ring", data("ring")[k]],
       ["x, y", `${data("x")[k].toFixed(1)}, ${data("y")[k].toFixed(1)} mm`],
       ...layers.map((layer) => [layer.name, `${data(`${layer.key}_text`)[k]} ${layer.unit}`])];
     for (const [name, value] of lines) {
@@ -89,7 +88,7 @@
 
   // The table: filtered, sorted, a hundred rows at a time.
   const body = document.querySelector("#actuators tbody");
-  const fields = ["id", group, "x", "y", ...layers.map((layer) => layer.key)];
+  const fields = ["id", "ring", "x", "y", ...layers.map((layer) => layer.key)];
   const STEP = 100;
   let shown = STEP, sortKey = "id", down = false, matching = all;
   const tests = { "<": (a, b) => a < b, ">": (a, b) => a > b, "<=": (a, b) => a <= b,
@@ -117,7 +116,7 @@
   };
   const row = (k, marked) => {
     const line = document.createElement("tr");
-    const texts = [data("called")[k], data(group)[k], data("x")[k].toFixed(1), data("y")[k].toFixed(1),
+    const texts = [data("called")[k], data("ring")[k], data("x")[k].toFixed(1), data("y")[k].toFixed(1),
       ...layers.map((layer) => data(`${layer.key}_text`)[k])];
     texts.forEach((text, j) => line.append(cell(j ? "td" : "th", text)));
     line.firstChild.scope = "row";
@@ -177,7 +176,7 @@
 
   // CSV: what the table lists, with numbers as they are.
   byId("csv").addEventListener("click", () => {
-    const heads = ["ID", group.toUpperCase(), "X_mm", "Y_mm", ...layers.map((layer) =>
+    const heads = ["ID", "RING", "X_mm", "Y_mm", ...layers.map((layer) =>
       layer.key.toUpperCase() + ({ mN: "_mN", "%": "_percent" }[layer.unit] ?? ""))];
     const number = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(7))) : "");
     const lines = matching.map((k) => fields.map((key) => number(data(key)[k])).join(","));
