@@ -35,11 +35,10 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotri
 
 import truenewton as tn
+from truenewton.calibration import methods
 from truenewton.estimation import campaign_ml, likelihood, problem
-from truenewton.estimation.paper import svd
 from truenewton.estimation.paper.equations import system_e
-from truenewton.estimation.paper.svd import CycleErrors
-from truenewton.estimation.readings.repeats import read_rows
+from truenewton.estimation.paper.svd import cycle_errors
 from truenewton.linalg import ROWS_AT_ONCE, mirrored
 from truenewton.statics.arms import arms, enabled_arms
 
@@ -122,8 +121,8 @@ def replaced(module: Any, name: str, value: Any) -> Iterator[None]:
 
 
 def without_cycle_errors(campaign: tn.Campaign) -> tn.Calibration:
-    """Calibrate, but for E_CYCLE: the rows are not read for it."""
-    with replaced(svd, "read_rows", lambda *_: None):
+    """Calibrate, but for E_CYCLE."""
+    with replaced(methods, "cycle_errors", lambda data, _: np.full(data.layout.n, np.nan)):
         return tn.calibrate(campaign)
 
 
@@ -284,7 +283,7 @@ def measure(n: int, repeats: int) -> None:
         "calibrate, all of it": lambda: without_cycle_errors(campaign),
     }
     taken = least(main, repeats)
-    beside = {"E_CYCLE": lambda: read_rows(campaign, (CycleErrors(campaign, values).take,))}
+    beside = {"E_CYCLE": lambda: cycle_errors(campaign, values)}
     if n <= GELSD_UP_TO:
         beside["gelsd on E"] = gelsd_on_e(campaign)
     taken |= least(beside, min(repeats, 3))

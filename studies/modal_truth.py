@@ -9,10 +9,9 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.truth import Truth
-from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.modal.findings import ModalFindings, compare_modes
-from truenewton.modal.measured_stiffness import motion_reader
+from truenewton.modal.measured_stiffness import motion_sums
 from truenewton.modal.modal_base import Budget, Dissipation, ModalBase, dissipation, modal_base
 from truenewton.modal.true_stiffness import static_force, true_stiffness
 from truenewton.records.campaign import Campaign
@@ -53,9 +52,8 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
     )
     calibration = replace(found.calibration, alpha=truth.alpha)
     stiffness = true_stiffness(matrix, calibration)
-    reader = motion_reader(screen_campaign(campaign))
-    read_rows(campaign, (reader.take,))
-    static = static_force(stiffness, calibration, reader.force_at_rest)
+    sums = motion_sums(screen_campaign(campaign))
+    static = static_force(stiffness, calibration, sums.force_at_rest)
     efficiency = found.after.costs[0].efficiency
     return modal_base(matrix, stiffness, stiffness.modes, found.after.seen, static, efficiency)
 

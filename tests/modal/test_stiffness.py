@@ -17,14 +17,13 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.estimation.findings.estimate import Sensor
 from truenewton.estimation.matrix.misfits import condensed
-from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.reciprocity.sensor_model import Values, places_of, sensors_at
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.sensor_model import model_sensors, puck_motion
 from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.modal.findings import compare_modes
-from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader
+from truenewton.modal.measured_stiffness import measured_stiffness, motion_sums
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
@@ -132,9 +131,8 @@ def test_noise_of_the_sensors_does_not_soften():
             tuple(replace(c, position=z) for c, z in zip(cycles, read, strict=True))
         )
         softer.append(np.sum(measured_stiffness(campaign).matrix.stiffness * k) / np.sum(k * k) - 1)
-        reader = motion_reader(screen_campaign(campaign))
-        read_rows(campaign, (reader.take,))
-        alike = reader.between()[0]
+        sums = motion_sums(screen_campaign(campaign))
+        alike = sums.between()[0]
         plain = alike.cz @ np.linalg.inv(alike.zz)
         naive.append(np.sum(plain * k) / np.sum(k * k) - 1)
     error = np.std(naive) / np.sqrt(40)

@@ -36,7 +36,7 @@ def modal_warnings(misfit):
     measured = SimpleNamespace(warnings=(), misfit=misfit)
     found = SimpleNamespace(
         measured=measured, calibration=SimpleNamespace(effects=()),
-        asymmetry=(1.0, 0.1), imbalance=(1.0, 0.1),
+        asymmetry=(1.0, 0.1), imbalance=(1.0, 0.1), doubts=(),
     )  # fmt: skip
     return len(ModalFindings.warnings.fget(found))
 

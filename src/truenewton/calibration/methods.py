@@ -34,8 +34,7 @@ from truenewton.estimation.matrix.screen import ScreenedMatrix, screen_matrix
 from truenewton.estimation.paper import svd as paper_svd
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.estimation.paper.identifiability import diagnose
-from truenewton.estimation.paper.svd import CycleErrors
-from truenewton.estimation.readings.repeats import RowReader
+from truenewton.estimation.paper.svd import cycle_errors
 from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.acceptance import advising_ml, doubts, failed, instead
@@ -298,19 +297,13 @@ def refusals(error: TrueNewtonError, screened: ScreenedCampaign | None) -> tuple
     return first, *(Fault(x.fault, x.remedy) for x in others if x.fault != error.fault)
 
 
-def calibration_of(
-    campaign: Campaign,
-    estimate: Estimate,
-    readers: Sequence[RowReader] = (),
-) -> Calibration:
-    """Return an estimate as a calibration; the rows are read for E_CYCLE, and for more readers."""
+def calibration_of(campaign: Campaign, estimate: Estimate) -> Calibration:
+    """Return an estimate as a calibration, with E_CYCLE."""
     layout, cycles, on = campaign.layout, campaign.cycles, campaign.layout.enabled
     estimate = estimate.with_warnings(doubts_of_coupling(campaign.stiffness))
     unknowns = Unknowns(int(on.sum()), len(campaign.loads))
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
     lost = [sum(row.cycle == k for row in estimate.rejected_rows) for k in range(len(cycles))]
-    cycle_errors = CycleErrors(campaign, estimate.values)
-    cycle_errors.read(readers)
     return Calibration(
         instrument=campaign.instrument,
         date=min(c.date for c in cycles),
@@ -319,7 +312,7 @@ def calibration_of(
         ),
         layout=layout,
         loads=campaign.loads,
-        cycle_error=spread(cycle_errors.errors, on),
+        cycle_error=spread(cycle_errors(campaign, estimate.values), on),
         bias_force=float(estimate.values[unknowns.bias]),
         torque_y=torques[:, 0],
         torque_x=torques[:, 1],

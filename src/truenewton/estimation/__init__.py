@@ -10,7 +10,7 @@ the system that follows eq. 3:
     eq. 4   E alpha' = r, B and torques unknown  `paper.equations`: `system_e`, `Unknowns`
     sec. 4  solution by SVD                      `paper.svd`: `solve`, `solve_campaign`
     sec. 4  the proof code                       `truenewton.studies.proof`: `prove`
-    sec. 5  error over the cycles, E_CYCLE       `paper.svd`: `CycleErrors`
+    sec. 5  error over the cycles, E_CYCLE       `paper.svd`: `cycle_errors`
 
 `svd` solves E, E_CYCLE solves C, and the proof solves both. `ml` uses sums over shapes instead.
 

@@ -187,7 +187,7 @@ def with_share_in_balance(problem: Problem, screened: ScreenedCampaign, alpha: A
     if problem.noise.source != NoiseSource.REPEATS:
         return problem
     scaled_arms, moments = problem.a * alpha, screened.moments
-    rho = np.concatenate([sample @ scaled_arms.T for sample in screened.samples])
+    rho = screened.samples @ scaled_arms.T
     s = imbalance_covariance(scaled_arms, problem.noise.seen)
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, problem.noise.least / problem.noise.seen.mean())
@@ -356,7 +356,7 @@ def balancing_moments(
     rho, s = problem.imbalance(minimum.values, moments)
     worst = standing_out(rho, problem.a * minimum.values[: problem.n], s)
     actuator = screened.campaign.layout.id[screened.campaign.layout.enabled][worst]
-    groups = zip(screened.sound.cycles, row_groups(screened.sound)[2], strict=True)
+    groups = zip(screened.sound.cycles, row_groups(screened.sound)[1], strict=True)
     lost = tuple(
         RejectedRow(k, int(row), int(actuator[g]), float(np.sqrt(distance[g])), "balance")
         for k, (cycle, group) in enumerate(groups)

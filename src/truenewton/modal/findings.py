@@ -31,12 +31,11 @@ from truenewton.errors import Fault, FormatError
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
-from truenewton.estimation.readings.repeats import read_rows
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.modal.measured_stiffness import (
     MeasuredStiffness,
-    MotionReader,
-    motion_reader,
+    MotionSums,
+    motion_sums,
     stiffness_of,
 )
 from truenewton.modal.modal_base import Budget, Dissipation, ModalBase, modal_base
@@ -260,7 +259,7 @@ def find_modes(
     model: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
-    reader: MotionReader | None = None,
+    sums: MotionSums | None = None,
     accept_rejected: bool = False,
 ) -> ModalFindings:
     """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
@@ -283,8 +282,8 @@ def find_modes(
         See `true_stiffness`; ``motion`` is also used to calibrate the data.
     model
         (n, n) stiffness by a model of the mirror, if it is in one piece [N/m].
-    reader
-        A reader that has read the cycles, see `motion_reader`; by default they are read.
+    sums
+        Those of force and displacement, from `motion_sums`; by default they are made.
     accept_rejected
         Accept an alpha whose verdict is 'rejected'.
 
@@ -315,25 +314,25 @@ def find_modes(
         atmosphere or Atmosphere(), diameter, radius, efficiency, sensor_gain, motion,
         model, off, slaved, accept_rejected,
     )  # fmt: skip
-    return _of_body(data, calibration, request, reader)
+    return _of_body(data, calibration, request, sums)
 
 
 def _of_body(
     data: Measured,
     calibration: Calibration | None,
     request: _Request,
-    reader: MotionReader | None = None,
+    sums: MotionSums | None = None,
 ) -> ModalFindings:
     """Find the modes, as asked for."""
     if calibration is not None:
         refuse_unusable(calibration, accept_rejected=request.accept_rejected)
-    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, request.motion)
+    matrix, measured, calibration, sums = _with_alpha(data, calibration, sums, request.motion)
     if _true_already(calibration):
         calibration = replace(calibration, alpha=calibration.alpha / calibration.alpha)  # or NaN
     else:
         refuse_unusable(calibration, accept_rejected=request.accept_rejected)
     matrix = as_calibrated(matrix, calibration.effects)
-    at_rest = None if reader is None else reader.force_at_rest
+    at_rest = None if sums is None else sums.force_at_rest
     stiffness_by = partial(
         true_stiffness, matrix, sensor_gain=request.sensor_gain, motion=request.motion,
         off=request.off, slaved=request.slaved,
@@ -365,7 +364,7 @@ def _of_body(
         measured, calibration, after,
         partial(_uncalibrated, after, calibration, at_rest, stiffness_by, request.efficiency),
         (faults[0], stiffness.asymmetry), (faults[1], stiffness.imbalance),
-        tuple(fault for fault, _ in doubts), _sources(reader, matrix),
+        tuple(fault for fault, _ in doubts), _sources(sums, matrix),
     )  # fmt: skip
 
 
@@ -385,26 +384,24 @@ def _uncalibrated(
 def _with_alpha(
     data: Campaign | StiffnessMatrix,
     calibration: Calibration | None,
-    reader: MotionReader | None,
+    sums: MotionSums | None,
     motion: Array | None,
-) -> tuple[StiffnessMatrix, MeasuredStiffness | None, Calibration, MotionReader | None]:
-    """Return the stiffness, its measurement, alpha, and the reader of the cycles."""
+) -> tuple[StiffnessMatrix, MeasuredStiffness | None, Calibration, MotionSums | None]:
+    """Return the stiffness, its measurement, alpha, and the sums over its rows."""
     if isinstance(data, StiffnessMatrix):
         return data, None, calibration or calibrate(data, motion=motion), None
-    if reader is None:
+    if sums is None:
         screened = screen_campaign(data)
-        reader = motion_reader(screened)
+        sums = motion_sums(screened)
         if calibration is None:
             method, options = resolve_method(data, None, population=False, motion=motion)
             estimate = estimate_alpha(screened, method, options)
-            calibration = calibration_of(data, estimate, (reader.take,))
-        else:
-            read_rows(data, (reader.take,))
+            calibration = calibration_of(data, estimate)
     calibration = calibration or calibrate(data, motion=motion)
     if data.stiffness is not None:
-        return data.stiffness, None, calibration, reader
-    measured = stiffness_of(reader)
-    return measured.matrix, measured, calibration, reader
+        return data.stiffness, None, calibration, sums
+    measured = stiffness_of(sums)
+    return measured.matrix, measured, calibration, sums
 
 
 def _true_already(calibration: Calibration) -> bool:
@@ -412,14 +409,14 @@ def _true_already(calibration: Calibration) -> bool:
     return any(effect.code == Code.TRUE_STIFFNESS for effect in calibration.effects)
 
 
-def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:
+def _sources(sums: MotionSums | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:
     """Return the files of a stiffness: its own, or those of the cycles with POSITION."""
-    if reader is None or not reader.positioned:
+    if sums is None or not sums.positioned:
         source = matrix.source
         return (replace(source, rows=matrix.layout.n),) if source else ()
-    lost = Counter(row.cycle for row in reader.rejected)
+    lost = Counter(row.cycle for row in sums.rejected)
     return tuple(
         replace(c.source, rows=int(c.valid.sum()), rejected=lost[k])
-        for k, c in enumerate(reader.positioned)
+        for k, c in enumerate(sums.positioned)
         if c.source
     )

@@ -22,15 +22,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array, blocks, freeze
 from truenewton.errors import RankDeficient
 from truenewton.estimation.checks import refusal_naming
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.readings.repeats import RowBlock, read_rows
-from truenewton.estimation.readings.rows import distinct, row_groups, row_weights
+from truenewton.estimation.readings.rows import grouped
 from truenewton.estimation.screening.screen import ScreenedCampaign, frozen_sensors, screen_campaign
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
@@ -62,101 +60,51 @@ class Products:
         return np.asarray(np.maximum(left, 0.0))
 
 
-class MotionReader:
-    """Sums of force and displacement of the rows of a campaign, relative to rest, during reading.
+class MotionSums:
+    """Sums of force and displacement over the rows of a campaign, relative to rest.
 
-    Each row updates the means of its group and, exactly, the sums about them. Rest is the mean of
-    c (1 + COILGRAD z) over the rows that have their opposite, which is known at the end of a cycle:
-    until then rows are relative to that of its first rows, and then the sums are corrected.
+    Rest is the mean of c (1 + COILGRAD z) over the rows that have their opposite.
 
-    ``sound`` is the campaign to be read with excluded rows marked as not valid, ``positioned`` the
-    indices of its cycles with POSITION, ``rejected`` the rows excluded from these. Without such
-    cycles only ``force_at_rest`` is found.
+    ``sound`` is the campaign with excluded rows marked as not valid, ``positioned`` the indices of
+    its cycles with POSITION, ``rejected`` the rows excluded from these. Without such cycles only
+    ``force_at_rest`` is found.
     """
 
     def __init__(
         self,
-        campaign: Campaign,
         sound: Campaign,
         positioned: Sequence[int] = (),
         rejected: tuple[RejectedRow, ...] = (),
     ) -> None:
         self.sound, self.rejected = sound, rejected
         self.positioned = tuple(sound.cycles[k] for k in positioned)
-        self._counts = [
-            cycle.valid[given.valid]
-            for cycle, given in zip(sound.cycles, campaign.cycles, strict=True)
-        ]
-        n = int(campaign.layout.enabled.sum())
-        self._rest = np.zeros((len(sound.cycles), n))
-        self._groups: dict[int, NDArray[np.int64]] = {}
+        rests, forces, positions = list[Array](), list[Array](), list[Array]()
+        for k, cycle in enumerate(sound.cycles):
+            force = cycle.used_force
+            if cycle.position is not None:
+                z = cycle.used(cycle.position, slice(None)) - cycle.rest_position
+                coil, shift = cycle.coil_gradient or 0.0, cycle.load.coil_shift or 0.0
+                force = force * (1.0 + coil * (z - shift))
+            rests.append(force[cycle.paired_rows].mean(axis=0))
+            if k in positioned:
+                forces.append(force - rests[-1])
+                positions.append(z)
+        bare = np.equal(sound.load_index, 0)
+        # (n,) commanded force at rest under the first, bare load, mean of its cycles [N]
+        self.force_at_rest = np.mean(np.array(rests)[bare], axis=0)
         if positioned:
-            of_these = Campaign(self.positioned)
-            self._labels, _, groups = row_groups(of_these)
-            self._groups = dict(zip(positioned, groups, strict=True))
-            self._weights = dict(zip(positioned, row_weights(of_these), strict=True))
-            self._force, self._position = np.zeros((2, len(self._labels), n))  # means
-            self.weight, self.within = np.zeros(len(self._labels)), Products(n)
-            self.rows = sum(map(len, groups))
-            self._begin_cycle()
+            self._add(tuple(forces), positions)
 
-    def _begin_cycle(self) -> None:
-        n = self._rest.shape[1]
-        self._near_rest: Array | None = None
-        self._unshifted = np.ones(len(self._labels))  # one minus the share of its rest in each mean
-        self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
-
-    def take(self, block: RowBlock) -> None:
-        """Add the next rows."""
-        k, cycle = block.cycle_index, self.sound.cycles[block.cycle_index]
-        counts = self._counts[k][block.rows]
-        first = np.count_nonzero(self._counts[k][: block.rows.start])
-        force, own = block.force[counts], slice(first, first + np.count_nonzero(counts))
-        if cycle.position is not None:
-            z = block.position[counts] - cycle.rest_position
-            force *= 1.0 + (cycle.coil_gradient or 0.0) * (z - (cycle.load.coil_shift or 0.0))
-        at_rest = force[cycle.paired_rows[own]]
-        self._rest[k] += at_rest.sum(axis=0)
-        if k in self._groups and len(force):
-            if self._near_rest is None:
-                self._near_rest = (at_rest if len(at_rest) else force).mean(axis=0)
-            force -= self._near_rest
-            group = self._groups[k][own]
-            for rows in distinct(group):
-                self._add(force[rows], z[rows], group[rows], self._weights[k])
-        if block.last:
-            self._end_cycle(k)
-
-    def _add(self, force: Array, position: Array, group: NDArray[np.int64], weight: float) -> None:
-        """Add (m, n) rows of one cycle, each of another group."""
-        share = weight / (self.weight[group] + weight)
-        force, position = force - self._force[group], position - self._position[group]
-        self._force[group] += share[:, None] * force
-        self._position[group] += share[:, None] * position
-        size, missing = self.weight[group] * share, self._unshifted[group]
-        root = np.sqrt(size)[:, None]
-        self.within.add(root * force, root * position)
-        self._sum_force += (size * missing) @ force
-        self._sum_position += (size * missing) @ position
-        self._sum += float(size @ missing**2)
-        self._unshifted[group] = missing * (1.0 - share)
-        self.weight[group] += weight
-
-    def _end_cycle(self, cycle_index: int) -> None:
-        """Make the rows of the cycle relative to its own rest."""
-        rest = self._rest[cycle_index]
-        rest /= np.count_nonzero(self.sound.cycles[cycle_index].paired_rows)
-        if cycle_index in self._groups and self._near_rest is not None:
-            shift = rest - self._near_rest
-            self.within.cz -= np.outer(shift, self._sum_position)
-            self.within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
-            self._force -= np.outer(1.0 - self._unshifted, shift)
-            self._begin_cycle()
-
-    @property
-    def force_at_rest(self) -> Array:
-        """(n,) commanded force at rest under the first, bare load, mean of its cycles [N]."""
-        return np.asarray(self._rest[np.equal(self.sound.load_index, 0)].mean(axis=0))
+    def _add(self, forces: tuple[Array, ...], positions: Sequence[Array]) -> None:
+        """Add (N, n) forces and displacements of each cycle with POSITION."""
+        n = len(self.force_at_rest)
+        rows = grouped(Campaign(self.positioned), forces, (), np.zeros(n))
+        self._labels, self.weight, self.rows = rows.labels, rows.total, len(rows.group)
+        self._force, self._position = rows.mean, rows.means(positions, n)
+        self.within = Products(n)
+        for (some, c), (_, z) in zip(rows.parts(forces), rows.parts(positions), strict=True):
+            group, root = rows.group[some], np.sqrt(rows.weight[some])[:, None]
+            self.within.add(root * (c - self._force[group]), root * (z - self._position[group]))
 
     @property
     def spare(self) -> int:
@@ -167,10 +115,10 @@ class MotionReader:
     def between(self) -> tuple[Products, int, float]:
         """Return sums over distinct shapes, their number, and the variance of a reading [m^2].
 
-        After all rows. The variance is that in a row of weight 1, from repeats and negatives; NaN
+        The variance is that in a row of weight 1, from repeats and negatives; NaN
         if there are none.
         """
-        label, heavy, n = self._labels, self.weight, self._rest.shape[1]
+        label, heavy, n = self._labels, self.weight, len(self.force_at_rest)
         edge = np.flatnonzero(np.append(True, (label[1:, :2] != label[:-1, :2]).any(axis=1)))
         ends = np.append(edge, len(label))
         signed, total = label[:, 2] * heavy, np.add.reduceat(heavy, edge)
@@ -258,19 +206,17 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     >>> tn.measured_stiffness(campaign).matrix
     <StiffnessMatrix of P45: 45 actuators>
     """
-    reader = motion_reader(screen_campaign(replace(campaign, stiffness=None)))
-    read_rows(campaign, (reader.take,))
-    return stiffness_of(reader)
+    return stiffness_of(motion_sums(screen_campaign(replace(campaign, stiffness=None))))
 
 
-def motion_reader(screened: ScreenedCampaign) -> MotionReader:
-    """Return a reader of force and displacement of all rows without outliers.
+def motion_sums(screened: ScreenedCampaign) -> MotionSums:
+    """Return the sums of force and displacement of all rows without outliers.
 
-    If the campaign contains a stiffness, only the force at rest is read.
+    If the campaign contains a stiffness, only the force at rest is found.
     """
     campaign, on = screened.campaign, screened.campaign.layout.enabled
     if campaign.stiffness is not None:
-        return MotionReader(campaign, screened.sound)
+        return MotionSums(screened.sound)
     positioned = [
         k
         for k, cycle in enumerate(campaign.cycles)  # POSITION may be zeros
@@ -297,24 +243,24 @@ def motion_reader(screened: ScreenedCampaign) -> MotionReader:
     ):
         cycles[k] = cycle if cycle.valid is other.valid else replace(cycle, valid=other.valid)
     rejected = by_force.rejected + by_position.rejected
-    return MotionReader(campaign, Campaign(tuple(cycles)), positioned, rejected)
+    return MotionSums(Campaign(tuple(cycles)), positioned, rejected)
 
 
-def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
-    """Return commanded force per reading, after all rows have been read.
+def stiffness_of(sums: MotionSums) -> MeasuredStiffness:
+    """Return commanded force per reading.
 
     The standard error of element i, j is s_i (S^-1)_jj^1/2 with S = sum z z', and s_i^2 the larger
     of the residual variances of repeats and of distinct shapes; it includes noise of force and of
     position.
     """
-    cycles = reader.positioned
+    cycles = sums.positioned
     frozen = tuple(frozen_sensors(Campaign(cycles)))
     for effect in frozen:
         if effect.size == 1.0:  # the share of the files
             raise RankDeficient(f"{effect.name}: {effect.where}", remedy=effect.remedy)
-    between, shapes, reading = reader.between()
-    within, degrees_within = reader.within, reader.spare
-    layout = reader.sound.layout
+    between, shapes, reading = sums.between()
+    within, degrees_within = sums.within, sums.spare
+    layout = sums.sound.layout
     n = int(layout.enabled.sum())
     # The fit of n columns takes up n + 1 parts of the noise of G shapes: subtract G - n - 1
     # leaves no bias to second order; to subtract all G would make K_c too stiff.
@@ -332,8 +278,8 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     inverse = half @ half.T
     k = (between.cz - share * within.cz) @ inverse
     left = [
-        sums.unexplained(k) / degrees
-        for sums, degrees in ((within, degrees_within), (between, shapes - int(held.sum())))
+        products.unexplained(k) / degrees
+        for products, degrees in ((within, degrees_within), (between, shapes - int(held.sum())))
         if degrees > 0
     ]
     variance = max(left, key=np.sum) if left else np.full(n, np.nan)
@@ -341,21 +287,21 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     on = np.ix_(layout.enabled, layout.enabled)
     whole, whole_error, whole_inverse = np.zeros((3, layout.n, layout.n))
     whole[on], whole_error[on] = k, error
-    weight = reader.weight.sum() / reader.rows  # of a row
+    weight = sums.weight.sum() / sums.rows  # of a row
     unknown = vectors[:, ~held] / (MIN_AMPLITUDE * np.sqrt(values[-1]))
     whole_inverse[on] = (inverse + unknown @ unknown.T) * weight
     first = min(cycles, key=lambda cycle: cycle.date)
     return MeasuredStiffness(
         matrix=StiffnessMatrix(first.instrument, first.date, layout, whole),
         shapes=shapes,
-        rows=reader.rows,
+        rows=sums.rows,
         residual=float(np.sqrt(variance.mean() / weight)),
         misfit=float(left[1].sum() / left[0].sum()) if len(left) == 2 else float("nan"),
         error=whole_error,
         inverse=whole_inverse,
         relative_error=float(np.linalg.norm(error) / np.linalg.norm(k)),
         rigid_assumed=int((~held).sum()),
-        rejected=reader.rejected,
+        rejected=sums.rejected,
         warnings=frozen,
     )
 

@@ -8,7 +8,7 @@ nothing but noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
@@ -43,12 +43,11 @@ from truenewton.estimation.paper.equations import imbalance_covariance, squared_
 from truenewton.estimation.paper.identifiability import balance_spectrum, centred_means
 from truenewton.estimation.problem import problem_of, with_share_in_balance
 from truenewton.estimation.readings.moments import chosen_groups, reading_noise
-from truenewton.estimation.readings.repeats import RowBlock, RowReader, read_rows
-from truenewton.estimation.readings.rows import balanced_rows, is_displaced, row_groups, row_weights
+from truenewton.estimation.readings.rows import balanced, row_groups, row_weights
 from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign, without
 from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings, find_modes
-from truenewton.modal.measured_stiffness import motion_reader
+from truenewton.modal.measured_stiffness import motion_sums
 from truenewton.reading import Read
 from truenewton.records.campaign import Campaign, refuse_other_mirror
 from truenewton.records.cycle import Source
@@ -103,37 +102,8 @@ class Evidence:
     in_noise: bool  # whether these are in units of noise
 
 
-class RowImbalance:
-    """Imbalance of the rows of a campaign with alpha = 1 and with (n,) alpha, as they are read."""
-
-    def __init__(self, screened: ScreenedCampaign, alpha: Array) -> None:
-        campaign, a = screened.campaign, enabled_arms(screened.campaign.layout)
-        self._balanced = [balanced_rows(c, a, screened.moments.reference) for c in campaign.cycles]
-        self._arms = (a, a * alpha)
-        self._parts: list[Array] = []
-
-    def take(self, block: RowBlock) -> None:
-        """Add the next rows."""
-        position = block.position if is_displaced(block.cycle) else None
-        force, known = self._balanced[block.cycle_index].of(block.force, position)
-        other = 0.0 if known is None else known
-        self._parts.append(np.stack([force @ arms.T + other for arms in self._arms]))
-
-    def before_and_after(self, load: NDArray[np.int64], kept: NDArray[np.bool_]) -> Array:
-        """Return (2, N, 3) imbalances of all rows about the mean of the rows kept under their load.
-
-        The mean is absorbed by weight, B and torques.
-        """
-        rho = np.concatenate(self._parts, axis=1)
-        for index in np.unique(load[kept]):
-            rho[:, load == index] -= rho[:, kept & (load == index)].mean(axis=1, keepdims=True)
-        return rho
-
-
-def campaign_evidence(
-    screened: ScreenedCampaign, calibration: Calibration, imbalance: RowImbalance
-) -> Evidence:
-    """Return the evidence of a campaign for its calibration; no row is read."""
+def campaign_evidence(screened: ScreenedCampaign, calibration: Calibration) -> Evidence:
+    """Return the evidence of a campaign for its calibration."""
     campaign = screened.campaign
     a, on = enabled_arms(campaign.layout), campaign.layout.enabled
     scaled_arms = a * calibration.alpha[on]
@@ -144,12 +114,12 @@ def campaign_evidence(
         np.concatenate([c.valid for c in part.cycles])[valid]
         for part in (balancing, screened.sound)
     )
-    group = np.concatenate(row_groups(screened.sound)[2])
+    group = np.concatenate(row_groups(screened.sound)[1])
     belongs = np.bincount(group[kept[sound]], minlength=len(screened.moments.rows)) > 0
     moments = chosen_groups(screened.moments, belongs)
     noise = reading_noise(screened.sound, screened.moments)
     weight, load = np.array(row_weights(campaign))[cycle], np.array(campaign.load_index)[cycle]
-    rho = imbalance.before_and_after(load, kept)
+    rho = _imbalance(screened, (a, scaled_arms), load, kept)
     before, after = rho
     variance = noise.variance
     if noise.source == NoiseSource.MINIMUM:
@@ -176,6 +146,26 @@ def campaign_evidence(
         singular_values=np.sqrt(balance_spectrum(centred_means(moments), a, variance)),
         in_noise=noise.source != NoiseSource.MINIMUM,
     )
+
+
+def _imbalance(
+    screened: ScreenedCampaign,
+    arms: tuple[Array, Array],
+    load: NDArray[np.int64],
+    kept: NDArray[np.bool_],
+) -> Array:
+    """Return (2, N, 3) imbalances of all rows with two kinds of (3, n) arms.
+
+    They are about the mean of the rows kept under their load, which weight, B and torques absorb.
+    """
+    a, parts = enabled_arms(screened.campaign.layout), list[Array]()
+    for cycle in screened.campaign.cycles:
+        force, known = balanced(cycle, a, screened.moments.reference)
+        parts.append(np.stack([force @ each.T + known for each in arms]))
+    rho = np.concatenate(parts, axis=1)
+    for index in np.unique(load[kept]):
+        rho[:, load == index] -= rho[:, kept & (load == index)].mean(axis=1, keepdims=True)
+    return rho
 
 
 def _pull(rho: Array, weight: Array, scaled_arms: Array, s: Array) -> Array:
@@ -359,13 +349,11 @@ def investigate(
         screened = screen_campaign(data)
         if calibration is not None:
             _refuse_other_files(calibration, data)
-            alpha = calibration.alpha[calibration.layout.enabled]
-            return _of_campaign(screened, alpha, partial(_read_for, calibration, data), modes)
+            return _of_campaign(screened, calibration, modes)
         estimate = estimate_alpha(screened, method, options)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         return Findings(data, None, faults=refusals(error, screened))
-    alpha = estimate.values[: int(data.layout.enabled.sum())]
-    return _of_campaign(screened, alpha, partial(calibration_of, data, estimate), modes)
+    return _of_campaign(screened, calibration_of(data, estimate), modes)
 
 
 def _refuse_other_files(calibration: Calibration, campaign: Campaign) -> None:
@@ -378,13 +366,6 @@ def _refuse_other_files(calibration: Calibration, campaign: Campaign) -> None:
             )
 
 
-def _read_for(
-    calibration: Calibration, campaign: Campaign, readers: Sequence[RowReader]
-) -> Calibration:
-    read_rows(campaign, readers)
-    return calibration
-
-
 def _of_matrix(
     matrix: StiffnessMatrix, calibration: Calibration, find: Callable[..., ModalFindings]
 ) -> Findings:
@@ -394,20 +375,13 @@ def _of_matrix(
 
 
 def _of_campaign(
-    screened: ScreenedCampaign,
-    alpha: Array,
-    calibrated: Callable[[Sequence[RowReader]], Calibration],
-    find: Callable[..., ModalFindings],
+    screened: ScreenedCampaign, calibration: Calibration, find: Callable[..., ModalFindings]
 ) -> Findings:
-    """Return the findings of a campaign; ``calibrated`` reads its rows, for all readers at once."""
-    campaign = screened.campaign
-    imbalance = RowImbalance(screened, alpha)
-    reader, no_modes = _modes(campaign, lambda: motion_reader(screened))
-    readers = [imbalance.take] if reader is None else [imbalance.take, reader.take]
-    calibration = calibrated(readers)
-    evidence, modes = campaign_evidence(screened, calibration, imbalance), None
-    if reader is not None:
-        modes, no_modes = _modes(campaign, lambda: find(campaign, calibration, reader=reader))
+    campaign, modes = screened.campaign, None
+    evidence = campaign_evidence(screened, calibration)
+    sums, no_modes = _modes(campaign, lambda: motion_sums(screened))
+    if sums is not None:
+        modes, no_modes = _modes(campaign, lambda: find(campaign, calibration, sums=sums))
     return Findings(campaign, calibration, evidence, modes=modes, no_modes=no_modes)
 
 

@@ -9,7 +9,7 @@ from helpers.balanced import BIAS, LAYOUT, arms_of, changed, gradients
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.readings.rows import balanced_rows, common_reference
+from truenewton.estimation.readings.rows import balanced, common_reference
 from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
 from truenewton.records.campaign import Campaign
 from truenewton.report.findings import investigate
@@ -129,10 +129,9 @@ def test_repeats_and_residuals_have_the_same_reference():
     half = replace(campaign.cycles[-1], valid=campaign.cycles[-1].sign > 0)
     campaign = Campaign((*campaign.cycles[:-1], half))
     moments, a = campaign_moments(campaign), enabled_arms(campaign.layout)
-    assert np.abs(np.vstack(screen_campaign(campaign).samples)).max() < 1e-11
+    assert np.abs(screen_campaign(campaign).samples).max() < 1e-11
     by_rest, by_all = (
-        rows.of(*rows.read(half.valid))[0]
-        for rows in (balanced_rows(half, a, z) for z in (half.rest_position, moments.reference))
+        balanced(half, a, zero)[0] for zero in (half.rest_position, moments.reference)
     )
     assert np.abs(by_all - by_rest).max() > 1e-5
     evidence = investigate(campaign).evidence

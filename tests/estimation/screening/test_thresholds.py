@@ -10,6 +10,7 @@ from helpers.thresholds import below_and_above, outcome
 from truenewton.chance import OF_EACH_KIND
 from truenewton.errors import TooManyOutliers
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.readings.repeats import Prints, Scatter
 from truenewton.estimation.screening import screen
 from truenewton.estimation.screening.hypotheses import (
     _differences,
@@ -20,8 +21,9 @@ from truenewton.estimation.screening.hypotheses import (
     unlike_files,
 )
 from truenewton.estimation.screening.screen import (
-    _leave_out_worst,
+    Repeats,
     _stand_still,
+    _worst_rows,
     refuse_too_many,
 )
 from truenewton.statics.arms import enabled_arms
@@ -49,12 +51,13 @@ def form_clusters(within):
     return clusters(distance, 2) is not None
 
 
-def prints_of(difference, labels=20):
+def prints_of(difference, labels=16):
     """Of three files one differs by a fraction, orthogonal to the others in each column."""
     rows, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((labels, 7)))
     rows, _ = np.linalg.qr(rows - rows.mean(axis=0))
     one, across = rows[:, :3], rows[:, 3:6]
-    return SimpleNamespace(common_rows=np.stack([one, one, one + difference * across]))
+    files = (one, one, one + difference * across)
+    return [Prints(np.arange(1, labels + 1), force) for force in files]
 
 
 def unlike(*given):
@@ -97,20 +100,19 @@ def load_of_two_names(ratio):
 def copied(*alike, in_steps=False):
     """Of 100 rows, the first file shares some with the second; both share some with a third."""
     files = len(alike) + 1
-    taken = {(file, code): bytes([file, code]) for file in range(files) for code in range(100)}
-    taken |= {(1, code): bytes([0, code]) for code in range(alike[0])}
-    for code in range(90, 90 + sum(alike[1:])):
-        taken |= {(file, code): b"same" for file in range(files)}
-    prints = SimpleNamespace(taken=taken)
+    force = np.random.default_rng(1).standard_normal((files, 100, 4))
+    force[1, : alike[0]] = force[0, : alike[0]]
+    force[:, 90 : 90 + sum(alike[1:])] = force[0, 90 : 90 + sum(alike[1:])]
+    prints = [Prints(np.arange(1, 101), each) for each in force]
     return len(copied_files(campaign(*[0] * files), prints, in_steps=in_steps))
 
 
 def frozen(longest, rows):
     prints = SimpleNamespace(
-        longest=[np.array([longest, 0])], rows=[rows], limit=[np.array([1.0, 2.0])],
-        at_limit=[np.zeros(2, dtype=int)],
+        longest=np.array([longest, 0]), codes=np.arange(rows), limit=np.array([1.0, 2.0]),
+        at_limit=np.zeros(2, dtype=int),
     )  # fmt: skip
-    return bool(_stand_still(prints, 0)[0])
+    return bool(_stand_still(prints)[0])
 
 
 def left_out_of_a_tail(times):
@@ -120,11 +122,14 @@ def left_out_of_a_tail(times):
         mean=np.ones((1, 1)),
     )  # fmt: skip
     usual = scipy.stats.norm.isf(OF_EACH_KIND / 2 / 1000)
-    sums = SimpleNamespace(
-        moments=moments, samples=[scipy.stats.norm.ppf(np.linspace(0.01, 0.99, 99))[:, None]],
-        furthest=np.array([[times * usual]]), leave_out_worst=lambda some, *_: some,
+    far = np.array([times * usual])
+    rows = SimpleNamespace(
+        deviations=lambda: [(slice(0, 1), None, far[None])], distance_factor=np.ones(1),
+        number=np.array([3]), group=[0], file=[0], row=[0],
     )  # fmt: skip
-    return len(_leave_out_worst(sums, accidents=False))
+    samples = scipy.stats.norm.ppf(np.linspace(0.01, 0.99, 99))[:, None]
+    one = LAYOUT.part(np.arange(LAYOUT.n) == 0)
+    return len(_worst_rows(Repeats(rows, moments, Scatter(far, samples)), one, accidents=False))
 
 
 class Stop(Exception):
@@ -136,12 +141,15 @@ def screened(rejected=(), tails=1.0, noise=1e-3, first=None, rows=100, prints=No
     files = SimpleNamespace(cycles=[SimpleNamespace(valid=np.ones(rows, dtype=bool))])
     files = type("Files", (), {"cycles": files.cycles, "__len__": lambda _: 1})()
     moments = SimpleNamespace(rows=np.array([rows]), noise=noise, mean=np.ones(4))
-    sums = SimpleNamespace(prints=prints, step=0.0, moments=moments, samples=(),
-                           displacement=lambda: None)  # fmt: skip
-    left_out = (sums, files, [SimpleNamespace(cycle=0) for _ in rejected])
+    repeats = SimpleNamespace(rows=None, moments=moments, scatter=Scatter(None, ()))
+    left_out = (repeats, files, [SimpleNamespace(cycle=0) for _ in rejected])
     nothing = mock.Mock(return_value=())
     with mock.patch.multiple(
-        screen, RepeatSums=mock.Mock(return_value=sums), compare_files=nothing,
+        screen, prints_of=mock.Mock(return_value=prints), step_of=mock.Mock(return_value=0.0),
+        _repeats_of=mock.Mock(return_value=repeats), compare_files=nothing,
+        _displacement=mock.Mock(return_value=None),
+        columns_of_other_rows=nothing, louder_with_force=nothing,
+        replace=mock.Mock(return_value=moments),
         copied_files=nothing, mislabelled_files=nothing, frozen_readings=nothing,
         clipped_readings=nothing, _left_out=mock.Mock(side_effect=[first or left_out, left_out]),
         _tails=mock.Mock(return_value=tails), _relabelled=mock.Mock(return_value=()),

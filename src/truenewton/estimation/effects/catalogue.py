@@ -426,14 +426,14 @@ def significant_tests(found: Sequence[EffectTest]) -> list[EffectTest]:
 
 
 def beside_shared_noise(
-    found: Sequence[EffectTest], fit: FittedRows, samples: Sequence[Array]
+    found: Sequence[EffectTest], fit: FittedRows, samples: Array
 ) -> list[EffectTest]:
     """Return effects by which rows of one group differ, if significant despite shared noise.
 
     Their order stays that of independent noise; ``samples`` (m, n) [N] as in `structure_of`.
     """
     some = [test for test in found if test.effect.code in WITHIN_GROUPS]
-    judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
+    judged = [_judged(test, fit, samples) for test in some]
     codes = {test.effect.code for test in significant_tests(judged)}
     return [test for test in some if test.effect.code in codes]
 
@@ -442,7 +442,7 @@ def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
     n, variance = fit.problem.n, fit.problem.noise.variance
     statistic, freedom = test.statistic, test.degrees_of_freedom
     if test.derivative.count >= n or test.derivative.actuators is not None:
-        share = independent_readings([samples], n) / n
+        share = independent_readings(samples, n) / n
         chance = float(log_chance(share * statistic, share * freedom))
         return replace(test, log_probability=chance)
     gain = test.effect.code in (Code.GAIN_BY_HOUR, Code.GAIN_BY_FILE)

@@ -9,7 +9,7 @@ misfit.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -154,13 +154,11 @@ def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iter
     )
 
 
-def examined(
-    plain: ExaminedFit, structure: Structure | None, samples: Sequence[Array]
-) -> ExaminedFit:
+def examined(plain: ExaminedFit, structure: Structure | None, samples: Array) -> ExaminedFit:
     """Return a fit after the search for effects, without those whose correction makes it fit.
 
     ``structure`` is how well shapes repeat over loads and signs; None if they do not. The
-    ``samples`` are deviations of some rows from their repeats, in parts of (m, n) [N].
+    ``samples`` are (m, n) deviations of some rows from their repeats [N].
     """
     problem, moments = plain.problem, plain.moments
     if structure is None:
@@ -220,7 +218,7 @@ def _pooled(
 
 
 def _corrected(
-    start: ExaminedFit, *, independent: bool, samples: Sequence[Array], within: bool = False
+    start: ExaminedFit, *, independent: bool, samples: Array, within: bool = False
 ) -> tuple[ExaminedFit | None, ExaminedFit]:
     """Return the fit with the likeliest effects taken out until all fits; None if that fails.
 
@@ -363,7 +361,7 @@ def _after(
     fit: FittedRows,
     test: EffectTest,
     corrected: Correction,
-    samples: Sequence[Array],
+    samples: Array,
 ) -> ExaminedFit:
     """Return the fit after a correction."""
     structure = now.structure

@@ -6,7 +6,6 @@ with noisy readings it is biased, and its errors here are scatter and weights, w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +27,6 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.paper.equations import Unknowns, system_c, system_e
 from truenewton.estimation.paper.identifiability import diagnose, refuse
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.readings.repeats import RowBlock, RowReader, read_rows
 from truenewton.estimation.readings.rows import row_groups
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.campaign import Campaign
@@ -112,7 +110,7 @@ def scatter_covariance(campaign: Campaign, solved: SingularSolution) -> Array:
     residual = solved.right_side - solved.matrix @ solved.solution
     loads = zip(_by_load(campaign, solved.matrix), _by_load(campaign, residual), strict=True)
     pull = np.concatenate([np.einsum("krp,kr->rp", e, remainder) for e, remainder in loads])
-    member = np.concatenate(row_groups(campaign)[2])  # campaigns stand in the order of E
+    member = np.concatenate(row_groups(campaign)[1])  # campaigns stand in the order of E
     count = np.bincount(member)
     mean = np.zeros((len(count), pull.shape[1]))
     np.add.at(mean, member, pull)
@@ -181,67 +179,48 @@ def solve_campaign(campaign: Campaign, moments: Moments) -> Estimate:
     )
 
 
-class CycleErrors:
-    """The paper's error (section 5): each cycle alone, B and torques held, three sigma of the mean.
+def cycle_errors(campaign: Campaign, solution: Array) -> Array:
+    """Return (n,) the paper's error: each cycle alone, B and torques held, three sigma of the mean.
 
-    C alpha = p (eq. 3) is solved for each cycle after its rows, from C' C = (A' A) o (sum of c c')
-    if that is far from singular, which takes a tenth of the time; otherwise by singular values.
-    Either way rows are taken in blocks, so that C is never in memory. ``solution`` is (n + 1 + 2
-    L,) alpha, B, then M_y, M_x of each load.
+    Section 5. C alpha = p (eq. 3) is solved for each cycle from C' C = (A' A) o (sum of c c') if
+    that is far from singular, which takes a tenth of the time; otherwise by singular values. An
+    incomplete cycle without alpha of its own is left out. ``solution`` is (n + 1 + 2 L,) alpha, B,
+    then M_y, M_x of each load. NaN of fewer than two cycles.
     """
+    a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
+    unknowns = Unknowns(n, len(campaign.loads))
+    weights, bias_force = campaign.effective_weights.tolist(), float(solution[unknowns.bias])
+    torques, alphas = solution[unknowns.torques].reshape(-1, 2).tolist(), list[Array]()
+    for cycle, k in zip(campaign.cycles, campaign.load_index, strict=True):
+        external, force = (weights[k], bias_force, *torques[k]), cycle.used_force
+        right = (-external_load(*external) @ a) * force.sum(axis=0)
+        alpha = _from_square(dsyrk(1.0, force.T), a, right)
+        if alpha is None:
+            alpha = from_rows(cycle, a, external)
+        if alpha is not None:
+            alphas.append(alpha)
+    if len(alphas) < 2:
+        return np.full(n, np.nan)
+    return np.asarray(3.0 * np.std(alphas, axis=0, ddof=1) / np.sqrt(len(alphas)))
 
-    def __init__(self, campaign: Campaign, solution: Array) -> None:
-        self._a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
-        unknowns = Unknowns(n, len(campaign.loads))
-        self._campaign = campaign
-        weights, bias_force = campaign.effective_weights.tolist(), float(solution[unknowns.bias])
-        torques = solution[unknowns.torques].reshape(-1, 2).tolist()
-        self._external = [(weights[k], bias_force, *torques[k]) for k in campaign.load_index]
-        self._right = -external_load(*np.transpose(self._external)) @ self._a  # of one row each
-        self._square, self._total = np.zeros((n, n), order="F"), np.zeros(n)
-        self._alphas: list[Array] = []
 
-    def take(self, block: RowBlock) -> None:
-        """Take the next rows; an incomplete cycle without alpha of its own is left out."""
-        force = block.force
-        self._square = dsyrk(1.0, force.T, beta=1.0, c=self._square, overwrite_c=True)  # its upper
-        self._total += force.sum(axis=0)
-        if block.last:
-            external = self._external[block.cycle_index]
-            alpha = self._from_square(self._right[block.cycle_index] * self._total)
-            if alpha is None:
-                alpha = from_rows(block.cycle, self._a, external)
-            if alpha is not None:
-                self._alphas.append(alpha)
-            self._square[:], self._total[:] = 0.0, 0.0
+def _from_square(square: Array, a: Array, right: Array) -> Array | None:
+    """Solve C' C alpha = C' p, in place, with the upper (n, n) sum of c c' and (n,) C' p.
 
-    def read(self, readers: Sequence[RowReader] = ()) -> None:
-        """Read the rows of all cycles, also for more readers."""
-        read_rows(self._campaign, (self.take, *readers))
-
-    def _from_square(self, right: Array) -> Array | None:
-        """Solve C' C alpha = C' p in place, with (n,) C' p; None if it is close to singular."""
-        square = self._square
-        square *= self._a.T @ self._a
-        norm = float(scipy.linalg.norm(square, 1, check_finite=False))  # of half of it
-        factor, failed = dpotrf(square, clean=False, overwrite_a=True)
-        if failed or dpocon(factor, norm)[0] <= 1e-10:
-            return None
-        return np.asarray(scipy.linalg.cho_solve((factor, False), right, check_finite=False))
-
-    @property
-    def errors(self) -> Array:
-        """(n,) three times the standard deviation over the cycles over the root of their number."""
-        count = len(self._alphas)
-        if count < 2:
-            return np.full(len(self._total), np.nan)
-        return np.asarray(3.0 * np.std(self._alphas, axis=0, ddof=1) / np.sqrt(count))
+    None if it is close to singular.
+    """
+    square *= a.T @ a
+    norm = float(scipy.linalg.norm(square, 1, check_finite=False))  # of half of it
+    factor, failed = dpotrf(square, clean=False, overwrite_a=True)
+    if failed or dpocon(factor, norm)[0] <= 1e-10:
+        return None
+    return np.asarray(scipy.linalg.cho_solve((factor, False), right, check_finite=False))
 
 
 def from_rows(cycle: Cycle, a: Array, external: tuple[float, ...]) -> Array | None:
     """Solve C alpha = p of one cycle by singular values; None if its rank is deficient.
 
-    Its rows are read again. ``a`` are (3, n) arms; ``external`` W, B [N], M_y and M_x [N m].
+    ``a`` are (3, n) arms; ``external`` W, B [N], M_y and M_x [N m].
     """
     n = a.shape[1]
     triangle = np.empty((0, n + 1))

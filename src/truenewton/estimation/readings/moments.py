@@ -489,10 +489,10 @@ class Structure:
         return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom else float("nan")
 
 
-def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> Structure:
+def structure_of(moments: Moments, noise: Noise, samples: Array) -> Structure:
     """Test whether shapes repeat over loads and signs.
 
-    ``samples`` are deviations of some rows from their repeats, in parts of (m, n) [N], which show
+    ``samples`` are (m, n) deviations of some rows from their repeats [N], which show
     how far readings depend on each other.
     """
     pooling = (moments if moments.pooled else replace(moments, pooled=True)).pooling
@@ -513,14 +513,13 @@ def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> St
     return Structure(chi2, freedom, float(probability) if freedom > 0 else 1.0)
 
 
-def independent_readings(samples: Sequence[Array], n: int) -> float:
-    """Return the effective number of independent readings, by parts of (m, n) samples."""
-    deviations = np.concatenate(samples) if samples else np.empty((0, n))
-    m = len(deviations)
+def independent_readings(samples: Array, n: int) -> float:
+    """Return the effective number of independent readings, by (m, n) samples."""
+    m = len(samples)
     if m < 2:
         return float(n)
-    size = np.sqrt(np.mean(deviations**2, axis=0))  # 0 where rounding hides all noise
-    scaled = np.divide(deviations, size, out=np.zeros_like(deviations), where=size > 0.0)
+    size = np.sqrt(np.mean(samples**2, axis=0))  # 0 where rounding hides all noise
+    scaled = np.divide(samples, size, out=np.zeros_like(samples), where=size > 0.0)
     # (tr C)^2 / tr C^2, less what chance alone makes of C between m rows; in single precision
     scaled = scaled.astype(np.float32)
     correlated = scaled @ scaled.T if m < n else scaled.T @ scaled
@@ -529,7 +528,7 @@ def independent_readings(samples: Sequence[Array], n: int) -> float:
 
 
 def pooled_where_it_fits(
-    moments: Moments, noise: Noise, samples: Sequence[Array]
+    moments: Moments, noise: Noise, samples: Array
 ) -> tuple[Moments, Structure | None]:
     """Return the moments, pooled over loads and signs if shapes repeat so, and the test.
 

@@ -1,37 +1,28 @@
-"""The rows of a campaign as they balance, in blocks of groups that repeat one shape.
+"""The rows of a campaign as they balance, in groups that repeat one shape under one load.
 
 Displacements count from one reading of each sensor for all cycles of a campaign: the mean of its
 cycles at rest. So alpha is that of the mean position of the mirror under all loads. Electronics may
 set their zero anew with each file. If the mean of a sensor over a cycle differs from the common one
 by more than its rms displacement, this sensor counts from the mean of each cycle instead; if this
 holds for most sensors, all of them do.
-
-Rows with the same load, SHAPE and SIGN are a group. A block of groups lists its rows and reads them
-itself, and its sums contain no row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import BLOCK_BYTES, Array
-from truenewton.estimation.findings.estimate import RejectedRow
-from truenewton.linalg import ROWS_AT_ONCE
+from truenewton.arrays import Array, blocks
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle, common_rest
 from truenewton.statics.arms import enabled_arms
+from truenewton.statics.load import Load
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
-
-Selection = slice | NDArray[np.int64]
-"""Some rows of a cycle."""
-
 
 # -- displacements --------------------------------------------------------------------------------
 
@@ -73,60 +64,133 @@ def is_displaced(cycle: Cycle) -> bool:
 # -- rows as they balance -------------------------------------------------------------------------
 
 
+def balanced(cycle: Cycle, a: Array, reference: Array) -> tuple[Array, Array]:
+    """Return the N valid rows of a cycle as they balance, by (3, n) arms and (n,) reference [m].
+
+    (N, n) c (1 + COILGRAD z) [N] and (N, 3) A (BIASGRAD z). Coils that have shifted by COILZ are
+    displaced without POSITION, too.
+    """
+    force, shift = cycle.used_force, cycle.load.coil_shift or 0.0
+    if cycle.position is not None and is_displaced(cycle):
+        zero = _from_own_mean(reference, cycle) + shift
+        z = cycle.used(cycle.position, slice(None)) - zero
+    elif shift:
+        z = np.full_like(force, -shift)
+    else:
+        return force, np.zeros((len(force), 3))
+    known = (cycle.bias_gradient or 0.0) * z @ a.T
+    z *= cycle.coil_gradient or 0.0  # in place: a copy takes as much memory as the data
+    z += 1.0
+    z *= force
+    return z, known
+
+
 @dataclass(frozen=True, eq=False)
-class BalancedRows:
-    """The rows of a cycle, corrected for POSITION."""
+class Rows:
+    """The N valid rows of a campaign in the order of its files, and the g groups of them.
 
-    # (N, all) commanded forces [N] and readings [m]; position is None if it does not change the
-    # balance
-    force: Array
-    position: Array | None
-    enabled: NDArray[np.bool_]  # (all,) which of the actuators take part, n of them
-    a: Array  # (3, n) arms of these
-    # (n,) readings from which displacements relative to the coils count [m]; of coils that have
-    # shifted by COILZ, without POSITION, the shift itself
-    zero: Array
-    # COILGRAD [1/m] and BIASGRAD [N/m], 0 without
-    coil: float
-    bias: float
-    shifted: bool = False  # whether the coils have moved along z
+    Rows with the same load, SHAPE and SIGN are a group.
+    """
 
-    def read(self, rows: Selection) -> tuple[Array, Array | None]:
-        """Read (m, n) forces [N] and readings [m] of some rows."""
-        position = None if self.position is None else self.used(self.position, rows)
-        return self.used(self.force, rows), position
+    loads: tuple[Load, ...]
+    labels: NDArray[np.int64]  # (g, 3) index of the load, SHAPE, SIGN; sorted
+    # (N,) group, index of the cycle and number in it, weight, hours since the mean of all cycles
+    group: NDArray[np.int64]
+    file: NDArray[np.int64]
+    row: NDArray[np.int64]
+    weight: Array
+    hour: Array
+    # of each file (N_k, n) c (1 + COILGRAD z) [N], the recorded forces without a copy if z is 0;
+    # and (N_k, 3) A (BIASGRAD z)
+    force: tuple[Array, ...]
+    known: tuple[Array, ...]
+    reference: Array  # (n,) readings from which displacements count [m]
 
-    def of(self, force: Array, position: Array | None) -> tuple[Array, Array | None]:
-        """Return (m, n) c (1 + COILGRAD z) [N] and (m, 3) A (BIASGRAD z) of what was read.
+    @cached_property
+    def number(self) -> NDArray[np.int64]:
+        """(g,) number of rows."""
+        return np.bincount(self.group)
 
-        The latter is None if nothing is displaced relative to the coils.
+    @cached_property
+    def total(self) -> Array:
+        """(g,) sum of the weights of the rows."""
+        return np.bincount(self.group, self.weight).astype(np.float64, copy=False)
+
+    @cached_property
+    def distance_factor(self) -> Array:
+        """(N,) factor of the squared deviation of a row from the mean of the others.
+
+        The mean includes the row itself. With this factor, deviations have the variance of a
+        reading of weight 1; it is 0 for a row without others.
         """
-        if position is None:
-            if not self.shifted:
-                return force, None
-            position = np.zeros_like(force)
-        z = position - self.zero
-        return force * (1.0 + self.coil * z), self.bias * z @ self.a.T
+        weight, total, alone = self.weight, self.total[self.group], self.number[self.group] == 1
+        return np.asarray(weight * total / np.where(alone, np.inf, total - weight))
 
-    def used(self, values: Array, rows: Selection) -> Array:
-        """Return FORCE [N] or POSITION [m] of some rows, (m, n)."""
-        chosen = values[rows]
-        return chosen if self.enabled.all() else chosen[:, self.enabled]
+    def parts(self, values: Iterable[Array]) -> Iterator[tuple[slice, Array]]:
+        """Yield which of the N rows, and their values, by (N_k, m) values of each file."""
+        start = 0
+        for of_file in values:
+            for some in blocks(len(of_file), 8 * of_file.shape[1]):
+                yield slice(start + some.start, start + some.stop), of_file[some]
+            start += len(of_file)
+
+    def means(self, values: Iterable[Array], width: int) -> Array:
+        """Return (g, width) means over the rows of each group, by (N_k, width) values of each file.
+
+        Rows are added in their order, each by its weight over the largest.
+        """
+        heaviest, mean = self.weight.max(), np.zeros((len(self.labels), width))
+        for rows, some in self.parts(values):
+            group, share = self.group[rows], self.weight[rows] / heaviest
+            for of_each in distinct(group):
+                mean[group[of_each]] += share[of_each, None] * some[of_each]
+        mean *= (heaviest / self.total)[:, None]
+        return mean
+
+    @cached_property
+    def mean(self) -> Array:
+        """(g, n) mean force of each group [N]."""
+        return self.means(self.force, len(self.reference))
+
+    def deviations(self) -> Iterator[tuple[slice, Array, Array]]:
+        """Yield which of the N rows, (m, n) means of their groups and deviations from these [N].
+
+        The last rows come first: they are in the cache still.
+        """
+        for rows, force in reversed([*self.parts(self.force)]):
+            mean = self.mean[self.group[rows]]
+            yield rows, mean, force - mean
 
 
-def balanced_rows(cycle: Cycle, a: Array, reference: Array) -> BalancedRows:
-    """Return the rows of a cycle as they balance, by (3, n) arms and the (n,) reference [m]."""
-    displaced, shift = is_displaced(cycle), cycle.load.coil_shift or 0.0
-    zero = _from_own_mean(reference, cycle) if displaced else np.zeros(a.shape[1])
-    return BalancedRows(
-        cycle.force,
-        cycle.position if displaced else None,
-        cycle.layout.enabled,
-        a,
-        zero + shift,
-        cycle.coil_gradient or 0.0,
-        cycle.bias_gradient or 0.0,
-        shifted=shift != 0.0,
+def rows_of(campaign: Campaign, reference: Array | None = None) -> Rows:
+    """Return the valid rows of a campaign as they balance.
+
+    Displacements count from the (n,) reference [m], the `common_reference` of the campaign unless
+    given.
+    """
+    reference = common_reference(campaign) if reference is None else reference
+    a = enabled_arms(campaign.layout)
+    force, known = zip(*(balanced(cycle, a, reference) for cycle in campaign.cycles), strict=True)
+    return grouped(campaign, force, known, reference)
+
+
+def grouped(
+    campaign: Campaign, force: tuple[Array, ...], known: tuple[Array, ...], reference: Array
+) -> Rows:
+    """Return the N valid rows of a campaign, with (N_k, n) forces of each file [N]; see `Rows`."""
+    labels, groups = row_groups(campaign)
+    counts = [len(group) for group in groups]
+    return Rows(
+        campaign.loads,
+        labels,
+        group=np.concatenate(groups),
+        file=np.repeat(np.arange(len(counts)), counts),
+        row=np.concatenate([np.flatnonzero(cycle.valid) for cycle in campaign.cycles]),
+        weight=np.repeat(row_weights(campaign), counts),
+        hour=np.concatenate(row_hours(campaign)),
+        force=force,
+        known=known,
+        reference=reference,
     )
 
 
@@ -155,13 +219,11 @@ def row_hours(campaign: Campaign) -> tuple[Array, ...]:
     return tuple(time - mean for time in times)
 
 
-def row_groups(
-    campaign: Campaign,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], list[NDArray[np.int64]]]:
+def row_groups(campaign: Campaign) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
     """Return the groups of a campaign's rows.
 
-    (g, 3) index of the load, SHAPE, SIGN, sorted; (g,) their first row, of all that count; and for
-    each cycle (N,) the group of its rows that count.
+    (g, 3) index of the load, SHAPE, SIGN, sorted; and for each cycle (N,) the group of its valid
+    rows.
     """
     names = [
         np.column_stack([np.full(np.count_nonzero(c.valid), k), c.shape[c.valid], c.sign[c.valid]])
@@ -175,7 +237,7 @@ def row_groups(
     else:
         codes = 2 * (span * whole[:, 0] + whole[:, 1]) + (whole[:, 2] > 0)
         _, first, group = np.unique(codes, return_index=True, return_inverse=True)
-    return whole[first], first, np.split(group.ravel(), ends)
+    return whole[first], np.split(group.ravel(), ends)
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
@@ -185,337 +247,3 @@ def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
         first = np.concatenate([[True], np.diff(group[rest]) > 0])
         yield rest[first]
         rest = rest[~first]
-
-
-# -- what a block reads ---------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class FileRows:
-    """Rows of one file, at most one of each group, not yet read."""
-
-    # Index of the cycle, and (m,) rows of its MEASUREMENTS
-    file: int
-    row: NDArray[np.int64]
-    group: Selection  # (m,) their groups in ascending order; in a block, counted from its first
-    hour: Array  # (m,) hours since the mean of all cycles
-    sampled: NDArray[np.bool_]  # (m,) whether their deviations are kept
-    # (m,) their labels, SHAPE times SIGN, if prints are taken of them; otherwise 0
-    printed: NDArray[np.int64]
-    weight: float  # of a row
-    balanced: BalancedRows  # reads them
-
-    def within(self, block: slice) -> FileRows | None:
-        """Return the rows of a block of groups; None if there is none."""
-        group = self.group
-        assert not isinstance(group, slice)  # these are the rows of all groups
-        first, end = group.searchsorted((block.start, block.stop)).tolist()
-        if first == end:
-            return None
-        whole = end - first == block.stop - block.start
-        at = slice(None) if whole else group[first:end] - block.start  # a slice: no copy
-        return self.only(slice(first, end), at)
-
-    def only(self, some: slice | NDArray[np.bool_], group: Selection) -> FileRows:
-        """Return some of the rows, which have (m,) groups."""
-        return replace(
-            self,
-            row=self.row[some],
-            group=group,
-            hour=self.hour[some],
-            sampled=self.sampled[some],
-            printed=self.printed[some],
-        )
-
-    @property
-    def where(self) -> Selection:
-        """The (m,) rows, as a slice if they are successive."""
-        row = self.row
-        follow = bool((np.diff(row) == 1).all())
-        return slice(int(row[0]), int(row[-1]) + 1) if follow and row.size else row
-
-    def read(self) -> ReadRows:
-        """Read the rows.
-
-        Prints are of what was read: corrected for displacements, no row repeats to the last bit.
-        """
-        raw, position = self.balanced.read(self.where)
-        return ReadRows(self, *self.balanced.of(raw, position), raw[self.printed != 0])
-
-    def rejected_in(self, rejected: Sequence[RejectedRow]) -> NDArray[np.bool_]:
-        """Return (m,) which of the rows are left out."""
-        return np.isin(self.row, [row.row for row in rejected if row.cycle == self.file])
-
-
-class ReadRows(NamedTuple):
-    """Rows of a file that were read.
-
-    Their description, (m, n) c (1 + COILGRAD z) [N], (m, 3) A (BIASGRAD z) or None, and commanded
-    forces of those of which prints are taken [N].
-    """
-
-    of: FileRows
-    force: Array
-    known: Array | None
-    printed: Array
-
-    def only(self, kept: NDArray[np.bool_]) -> ReadRows:
-        """Return the (m,) rows that are kept."""
-        of, force, known, printed = self
-        if kept.all():
-            return self
-        group = np.arange(len(kept)) if isinstance(of.group, slice) else of.group
-        known = None if known is None else known[kept]
-        rows = of.only(kept, group[kept])
-        return ReadRows(rows, force[kept], known, printed[kept[of.printed != 0]])
-
-
-@dataclass(frozen=True, eq=False)
-class GroupBlock:
-    """A block of groups, with the rows that are not left out."""
-
-    # Which of the blocks, and which groups are in it, in the order in which they come
-    index: int
-    span: slice
-    parts: tuple[FileRows, ...]  # rows of a file, at most one of each group
-    heaviest: float  # largest weight of a row of the campaign
-
-    @property
-    def groups(self) -> int:
-        """Number of groups."""
-        return int(self.span.stop - self.span.start)
-
-    @cached_property
-    def number(self) -> NDArray[np.int64]:
-        """(groups,) number of rows."""
-        number = np.zeros(self.groups, dtype=np.int64)
-        for part in self.parts:
-            number[part.group] += 1
-        return number
-
-    @cached_property
-    def weight(self) -> Array:
-        """(groups,) sum of the weights of the rows."""
-        weight = np.zeros(self.groups)
-        for part in self.parts:
-            weight[part.group] += part.weight
-        return weight
-
-    def distance_factor(self, weight: float) -> Array:
-        """Return (groups,) factor of the squared deviation of a row from the mean of the others.
-
-        The mean includes the row itself. With this factor, deviations have the variance of a
-        reading of weight 1; it is 0 for a row without others.
-        """
-        total = self.weight
-        return np.asarray(weight * total / np.where(total > weight, total - weight, np.inf))
-
-
-def file_rows(
-    campaign: Campaign,
-    reference: Array,
-    groups: Sequence[NDArray[np.int64]],
-    printed: NDArray[np.int64],
-) -> list[FileRows]:
-    """Return rows of each file, of each group at most one, in the order of the groups.
-
-    ``reference`` is (n,) that of `common_reference` [m], ``groups`` of each cycle (N,) the group of
-    each row that counts, ``printed`` (g,) labels if prints are taken of a group, otherwise 0.
-    """
-    found, a, weights = list[FileRows](), enabled_arms(campaign.layout), row_weights(campaign)
-    # Deviations of 1000 rows are kept: they give a variance of three degrees to 3 %.
-    stride = max(1, sum(map(len, groups)) // 1000)
-    files = zip(campaign.cycles, groups, row_hours(campaign), weights, strict=True)
-    for k, (cycle, group, hour, weight) in enumerate(files):
-        balanced = balanced_rows(cycle, a, reference)
-        balanced = replace(balanced, enabled=campaign.layout.enabled)  # one array for all files
-        counting = np.flatnonzero(cycle.valid)
-        for some in distinct(group):
-            at, sampled = group[some], some % stride == 0
-            found.append(
-                FileRows(k, counting[some], at, hour[some], sampled, printed[at], weight, balanced)
-            )
-    return found
-
-
-class GroupBlocks:
-    """The blocks of groups of a campaign, each made when it is read: their rows take memory.
-
-    ``spans`` are the groups of each block, as they come, ``left`` the blocks without some rows.
-    """
-
-    def __init__(self, layers: Sequence[FileRows], groups: int, n: int) -> None:
-        """Cut so many groups into blocks, with the rows of n readings of each."""
-        number = np.zeros(groups, dtype=np.int64)
-        for layer in layers:
-            number[layer.group] += 1
-        most = int(np.clip(BLOCK_BYTES // (8 * n * number.max()), 1, ROWS_AT_ONCE))
-        self.spans = [slice(at, min(at + most, groups)) for at in range(0, groups, most)]
-        self.left = dict[int, GroupBlock]()
-        self._layers, self._heaviest = layers, max(layer.weight for layer in layers)
-
-    def __iter__(self) -> Iterator[GroupBlock]:
-        return map(self.__getitem__, range(len(self.spans)))
-
-    def __getitem__(self, index: int) -> GroupBlock:
-        if index in self.left:
-            return self.left[index]
-        span = self.spans[index]
-        parts = (layer.within(span) for layer in self._layers)
-        here = tuple(part for part in parts if part is not None)
-        return GroupBlock(index, span, here, self._heaviest)
-
-
-# -- sums of a block ------------------------------------------------------------------------------
-
-
-FileSums = dict[int, Array]
-"""By file (2, n) sums over rows, weighted, of (c - c_mean) [N] and the same times c_mean; under -1,
-the last, of all files and times the hour."""
-
-
-@dataclass(frozen=True, eq=False)
-class BlockSums:
-    """Sums over the rows of a block."""
-
-    block: int  # which of the blocks
-    # (groups, n) and (groups, 3) means over the rows of a group [N]
-    mean: Array
-    known: Array
-    scatter: Array  # (n,) weighted sum of squared deviations from these [N^2]
-    # (n,) largest distance of a row from the mean of the others of its group, divided by its noise
-    # over that of a row of weight 1 [N]
-    furthest: Array
-    sample: Array  # (m, n) deviations of some rows from the others of their groups, at weight 1 [N]
-    # Rows of which prints are taken: of some files the index, labels and (m, n) readings [N]
-    printed: list[tuple[int, NDArray[np.int64], Array]]
-
-
-class WithoutWorst(NamedTuple):
-    """A block without the worst rows of its groups, these rows, and the sums of the rest.
-
-    The sums are None if a group is empty.
-    """
-
-    block: GroupBlock
-    rejected: list[RejectedRow]
-    sums: BlockSums | None
-
-
-def added(one: FileSums, other: FileSums) -> FileSums:
-    """Add sums by file."""
-    return one | {k: one[k] + sums if k in one else sums for k, sums in other.items()}
-
-
-def sums_of(blocks: Sequence[GroupBlock]) -> tuple[list[BlockSums], FileSums]:
-    """Read some blocks; return the sums of each, and those by file of all."""
-    sums, by_file = list[BlockSums](), FileSums()
-    for block in blocks:
-        of_block, of_files = _summed(block, [part.read() for part in block.parts])
-        sums.append(of_block)
-        by_file = added(by_file, of_files)
-    return sums, by_file
-
-
-def without_worst(
-    block: GroupBlock, *, noise: Array, limit: float, ids: NDArray[np.int64]
-) -> tuple[WithoutWorst | None, FileSums]:
-    """Read a block, and leave out the worst row of each group that has one too far out.
-
-    Returns the block, None if no row is too far out, and by how much the sums by file change.
-    Noise of a reading of weight 1 [N] and ids are (n,).
-    """
-    read = [part.read() for part in block.parts]
-    worst = _worst_rows(block, read, noise, limit, ids)
-    if not worst:
-        return None, {}
-    kept = [(rows, ~rows.of.rejected_in(worst)) for rows in read]
-    left = [rows.only(some) for rows, some in kept if some.any()]
-    rest = replace(block, parts=tuple(rows.of for rows in left))
-    if not rest.number.all():
-        return WithoutWorst(rest, worst, None), {}
-    before = _summed(block, read)[1]
-    sums, after = _summed(rest, left)
-    change = added(after, {k: -of_file for k, of_file in before.items()})
-    return WithoutWorst(rest, worst, sums), change
-
-
-def _worst_rows(
-    block: GroupBlock, read: list[ReadRows], noise: Array, limit: float, ids: NDArray[np.int64]
-) -> list[RejectedRow]:
-    """Return the worst row of each group that has one too far out; both of a group of two."""
-    worst: dict[int, RejectedRow] = {}
-    pairs: list[RejectedRow] = []
-    mean, every = _means(block, read)[0], np.arange(block.groups)
-    for part, force, _, _ in read:
-        factor = np.sqrt(block.distance_factor(part.weight))[part.group][:, None]
-        sigmas = np.abs((force - mean[part.group]) * factor) / noise
-        group, number = every[part.group], block.number[part.group]
-        for at in np.flatnonzero(sigmas.max(axis=1, initial=0.0) > limit).tolist():
-            i, g = int(sigmas[at].argmax()), int(group[at])
-            far = float(sigmas[at, i])
-            row = RejectedRow(part.file, int(part.row[at]), int(ids[i]), far, "repeats")
-            if number[at] == 2:
-                pairs.append(row)
-            elif g not in worst or worst[g].sigmas < far:
-                worst[g] = row
-    return [*worst.values(), *pairs]
-
-
-def _means(block: GroupBlock, read: list[ReadRows]) -> tuple[Array, Array]:
-    """Return (groups, n) and (groups, 3) means over the rows of each group [N]."""
-    n = read[0].force.shape[1]
-    mean, known = np.zeros((block.groups, n)), np.zeros((block.groups, 3))
-    for part, force, of_balance, _ in read:
-        share = part.weight / block.heaviest
-        mean[part.group] += force if share == 1.0 else share * force
-        if of_balance is not None:
-            known[part.group] += part.weight * of_balance
-    mean *= (block.heaviest / block.weight)[:, None]
-    return mean, known / block.weight[:, None]
-
-
-def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSums]:
-    """Return the sums over the rows that were read of a block, and those by file."""
-    mean, known = _means(block, read)
-    n = mean.shape[1]
-    scatter, furthest, sample = np.zeros(n), np.zeros(n), []
-    by_file = {-1: np.zeros((2, n))}
-    for part, force, _, _ in reversed(read):  # the last are in the cache still
-        factor = block.distance_factor(part.weight)
-        apart = force - mean[part.group]
-        chosen = part.sampled & (block.number[part.group] > 1)
-        sample.append(apart[chosen] * np.sqrt(factor[part.group][chosen])[:, None])
-        of_file = by_file.setdefault(part.file, np.zeros((2, n)))
-        ones = np.ones(len(apart))
-        for k, values in enumerate((apart, apart * mean[part.group])):
-            of_file[k] += part.weight * (ones @ values)
-            by_file[-1][k] += part.weight * (part.hour @ values)  # both at once take longer
-        apart *= apart
-        scatter += part.weight * (ones @ apart)
-        if not (factor == factor[0]).all():
-            apart *= factor[part.group][:, None]
-            factor = np.ones(1)
-        here = np.sqrt(apart.max(axis=0, initial=0.0) * factor[0])
-        np.maximum(furthest, here, out=furthest)
-    printed = [
-        (rows.of.file, rows.of.printed[rows.of.printed != 0], rows.printed)
-        for rows in read
-        if rows.printed.size
-    ]
-    sums = BlockSums(block.index, mean, known, scatter, furthest, np.concatenate(sample), printed)
-    return sums, by_file
-
-
-def mean_displacement(
-    block: GroupBlock, positions: Sequence[Array], zeros: Sequence[Array]
-) -> tuple[int, Array]:
-    """Read POSITION of a block; return its index, and (groups, n) mean displacements [m].
-
-    Of each file POSITION, and (n,) readings from which its displacements count [m].
-    """
-    total = np.zeros((block.groups, len(zeros[0])))
-    for part in block.parts:
-        read = part.balanced.used(positions[part.file], part.where)
-        total[part.group] += part.weight * (read - zeros[part.file])
-    return block.index, total / block.weight[:, None]

@@ -15,7 +15,7 @@ another load has the wrong name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, combinations, pairwise
 from typing import Any, NamedTuple
 
@@ -30,7 +30,7 @@ from truenewton.estimation.findings.finding import (
     about_actuators,
 )
 from truenewton.estimation.readings.moments import Moments, WithinGroups
-from truenewton.estimation.readings.repeats import RowPrints, common_labels
+from truenewton.estimation.readings.repeats import Prints, common_labels, common_rows
 from truenewton.linalg import assignment
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import listed, significant
@@ -89,14 +89,14 @@ class Difference(NamedTuple):
     times: str = ""
 
 
-def compare_files(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
+def compare_files(campaign: Campaign, prints: Sequence[Prints]) -> tuple[Finding, ...]:
     """Return files whose FORCE or POSITION has other actuators, signs or units than elsewhere.
 
     The majority of the files is taken as right; between two files, or two halves, there is none.
     """
     findings = list[Finding]()
     found = dict[tuple[Difference, tuple[int, ...]], list[str]]()
-    for quantity, rows in (("FORCE", prints.common_rows), ("POSITION", _positions(campaign))):
+    for quantity, rows in (("FORCE", common_rows(prints)), ("POSITION", _positions(campaign))):
         if rows is None or len(rows) < 2 or rows.shape[1] < MIN_SHARED_LABELS:
             continue
         if quantity == "POSITION" and not np.ptp(rows, axis=(0, 1)).any():
@@ -374,13 +374,13 @@ MIN_RATIO_TO_OTHER_FILES = 4.0  # relative to the files under one load that shar
 
 
 def unlike_files(
-    campaign: Campaign, prints: RowPrints, least: float = MIN_GROUP_DIFFERENCE
+    campaign: Campaign, prints: Sequence[Prints], least: float = MIN_GROUP_DIFFERENCE
 ) -> tuple[Finding, ...]:
     """Return the fewer of files that form two groups, as those of two mirrors or days do.
 
     The groups differ by ``least`` of their size.
     """
-    rows = _centred(prints.common_rows)
+    rows = _centred(common_rows(prints))
     if len(rows) < 3 or rows.shape[1] < MIN_SHARED_LABELS:
         return ()
     distance = np.zeros((len(rows), len(rows)))
@@ -406,16 +406,14 @@ def _apart(rows: Array, others: Array) -> float:
 
 
 def copied_files(
-    campaign: Campaign, prints: RowPrints, *, in_steps: bool = False
+    campaign: Campaign, prints: Sequence[Prints], *, in_steps: bool = False
 ) -> tuple[Finding, ...]:
     """Return files with the readings of others: rows of the same SHAPE and SIGN, bit by bit.
 
     If even files of different origin under one load repeat to the last bit, there is no noise, or
     less than rounding, and nothing is reported. ``in_steps``: rows may be equal by chance.
     """
-    rows: list[dict[int, bytes]] = [{} for _ in campaign.cycles]
-    for (file, code), readings in prints.taken.items():
-        rows[file][code] = readings
+    rows = [dict(zip(p.codes.tolist(), map(bytes, p.force), strict=True)) for p in prints]
     load, same, by_chance = campaign.load_index, dict[tuple[int, int], float](), list[float]()
     share = MIN_IDENTICAL_FRACTION_OF_STEPS if in_steps else MIN_IDENTICAL_FRACTION
     for one, other in combinations(range(len(rows)), 2):
@@ -438,13 +436,13 @@ def copied_files(
     )
 
 
-def _nearly_alike(campaign: Campaign, prints: RowPrints) -> list[tuple[int, int]]:
+def _nearly_alike(campaign: Campaign, prints: Sequence[Prints]) -> list[tuple[int, int]]:
     """Return pairs of files under one load that differ by much less than their noise.
 
     So does a file from its copy in other digits. The noise is the difference of other pairs,
     without the zero and the gain of each actuator; three pairs are needed to know it.
     """
-    rows, load = _centred(prints.common_rows), campaign.load_index
+    rows, load = _centred(common_rows(prints)), campaign.load_index
     if rows.shape[1] < MIN_SHARED_LABELS:
         return []
     distance = dict[tuple[int, int], float]()

@@ -1,4 +1,4 @@
-"""Outlying rows are left out, and files and readings checked, in one reading of the rows.
+"""Outlying rows are left out, and files and readings checked.
 
 A row is an outlier if its reading of one actuator is far from the mean of the others of its group.
 The worst row of each group is removed first, the scatter is estimated again, until no outlier is
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,15 @@ from truenewton.estimation.readings.moments import (
     pooled_where_it_fits,
     reading_noise,
 )
-from truenewton.estimation.readings.repeats import RepeatSums, RowPrints
+from truenewton.estimation.readings.repeats import (
+    Prints,
+    Scatter,
+    common_rows,
+    moments_of,
+    prints_of,
+    step_of,
+)
+from truenewton.estimation.readings.rows import Rows, rest_positions, rows_of
 from truenewton.estimation.screening.hypotheses import (
     MIN_DIFFERENCE_OF_REPEATING_FILES,
     columns_of_other_rows,
@@ -44,6 +53,7 @@ from truenewton.estimation.screening.hypotheses import (
 )
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import percent
+from truenewton.statics.layout import Layout
 
 MAX_REJECTED_FRACTION = 0.3  # of the rows; beyond this the campaign is refused
 SYSTEMATIC_FRACTION = 0.15  # of the rows of a file: if more are outliers, its labels are checked
@@ -54,15 +64,16 @@ FAR_OUT_FACTOR = 3.0  # on the usual limit, if outliers are a tail
 
 @dataclass(frozen=True, eq=False)
 class ScreenedCampaign:
-    """A campaign whose rows were read once, without outliers."""
+    """A campaign without outliers, and the moments of its rows."""
 
     campaign: Campaign  # as given
     sound: Campaign  # with the rejected rows marked as not valid
     rejected: tuple[RejectedRow, ...]  # rows that differ from their repeats
     moments: Moments  # of the sound rows; pooled if shapes repeat over loads and signs
     noise: Noise  # of a reading of them
-    # parts of (m, n) deviations of some rows from the others of their groups, at weight 1 [N]
-    samples: tuple[Array, ...]
+    samples: (
+        Array  # (m, n) deviations of some rows from the others of their groups [N], see `Scatter`
+    )
     structure: Structure | None  # test of these repeats; None if not possible
     suspects: tuple[Finding, ...] = ()  # files that are not what they claim, frozen readings
     # readings that end at a limit: a fault if the data do not fit
@@ -74,35 +85,35 @@ class ScreenedCampaign:
 
 
 def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
-    """Read a campaign and leave out rows that differ from their repeats.
-
-    FORCE is read once, and blocks with removed rows once more; all of it if the mean of POSITION,
-    or two lone repeats, were removed.
+    """Leave out rows that differ from their repeats, and check files and readings.
 
     Raises TooManyOutliers if a cycle would lose all its rows.
     """
-    sums = RepeatSums(campaign)
-    prints = sums.prints
+    prints = prints_of(campaign)
+    step = step_of(prints)
+    repeats = _repeats_of(campaign, step)
     apart = compare_files(campaign, prints)
     suspects = (
         *apart,
-        *copied_files(campaign, prints, in_steps=bool(np.any(sums.step))),
-        *mislabelled_files(campaign, sums.moments),
-        *columns_of_other_rows(campaign, sums.moments),
+        *copied_files(campaign, prints, in_steps=bool(np.any(step))),
+        *mislabelled_files(campaign, repeats.moments),
+        *columns_of_other_rows(campaign, repeats.moments),
         *frozen_readings(campaign, prints),
     )
     clipped = clipped_readings(campaign, prints)
     refusal: TooManyOutliers | None = None
     try:
-        sums, sound, rejected = _left_out(sums, campaign, accidents=True)
-        refuse_too_many(len(rejected), len(rejected) + int(sums.moments.rows.sum()))
-        accidents = not rejected or _tails(sums) <= LONG_TAIL_RATIO
+        repeats, sound, rejected = _left_out(repeats, campaign, accidents=True)
+        refuse_too_many(len(rejected), len(rejected) + int(repeats.moments.rows.sum()))
+        accidents = not rejected or _tails(repeats) <= LONG_TAIL_RATIO
     except TooManyOutliers as error:  # if of one cycle, it differs as a whole
         accidents, refusal = False, error
     if not accidents:
         try:
-            sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
-            moments = sums.moments
+            repeats, sound, rejected = _left_out(
+                _repeats_of(campaign, step), campaign, accidents=False
+            )
+            moments = repeats.moments
             gross = moments.noise > GROSS_SCATTER * np.sqrt(np.mean(moments.mean**2))
             if refusal is not None and gross:
                 raise refusal
@@ -115,30 +126,28 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
     suspects += () if apart else _relabelled(campaign, prints, affected)
     # Rounding is no normal noise, and files that are not what they claim make noise of their own.
-    louder = () if suspects or np.any(sums.step) else louder_with_force(campaign, prints)
+    louder = () if suspects or np.any(step) else louder_with_force(campaign, prints)
     suspects += louder
-    moments, frozen = sums.moments, tuple[Finding, ...]()
+    moments, frozen = repeats.moments, tuple[Finding, ...]()
     moments = replace(moments, by_force=sum(each.size for each in louder))
     noise = reading_noise(sound, moments)
-    if (displacement := sums.displacement()) is not None:
+    if (displacement := _displacement(repeats.rows, sound)) is not None:
         frozen = tuple(frozen_sensors(campaign))
         displacement[:, still_sensors(campaign).any(axis=0)] = 0.0
         moments = replace(moments, displacement=displacement)
-    moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
-    samples = tuple(sums.samples)
+    moments, structure = pooled_where_it_fits(moments, noise, repeats.scatter.samples)
     unlike = (
         ()
         if len(suspects) > len(louder)
         else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
     )
-    left_out = tuple(rejected)
     return ScreenedCampaign(
         campaign,
         sound,
-        left_out,
+        tuple(rejected),
         moments,
         noise,
-        samples,
+        repeats.scatter.samples,
         structure,
         suspects,
         clipped,
@@ -147,21 +156,21 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
     )
 
 
-def louder_with_force(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
+def louder_with_force(campaign: Campaign, prints: Sequence[Prints]) -> tuple[Finding, ...]:
     """Return that noise grows with the force, if it does."""
     share = noise_by_force(campaign, prints)
     where = f"{percent(share)} of its variance"
     return (Finding(code=Code.NOISE_BY_FORCE, size=share, where=where),) if share else ()
 
 
-def noise_by_force(campaign: Campaign, prints: RowPrints) -> float:
+def noise_by_force(campaign: Campaign, prints: Sequence[Prints]) -> float:
     """Return the share of the noise that is in proportion to the force; 0 unless it is significant.
 
     The deviation of a row from its repeats, without the zero and the gain of each actuator in its
     file, has the variance s^2 (1 + share (c^2 / m - 1)), m the mean of c^2. Large deviations count
     as of five standard deviations, so that accidents do not decide.
     """
-    rows, along, square, noise = prints.common_rows.astype(np.float64), 0.0, 0.0, 0.0
+    rows, along, square, noise = common_rows(prints).astype(np.float64), 0.0, 0.0, 0.0
     for load in range(len(campaign.loads)):
         files = rows[np.array(campaign.load_index) == load]
         if len(files) < 2 or files.shape[1] < MIN_ROWS_OF_NOISE:
@@ -188,7 +197,9 @@ def _some(values: Array) -> Array:
     return np.maximum(values, 1e-300)
 
 
-def _relabelled(campaign: Campaign, prints: RowPrints, files: Sequence[int]) -> tuple[Finding, ...]:
+def _relabelled(
+    campaign: Campaign, prints: Sequence[Prints], files: Sequence[int]
+) -> tuple[Finding, ...]:
     """Return why rows of some files differ: their labels, or the origin of the files."""
     if not files:
         return ()
@@ -207,27 +218,50 @@ def with_suspects(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNe
     )
 
 
+class Repeats(NamedTuple):
+    """The rows of a campaign, their moments and scatter."""
+
+    rows: Rows
+    moments: Moments
+    scatter: Scatter
+
+
+def _repeats_of(campaign: Campaign, step: Array | float) -> Repeats:
+    rows = rows_of(campaign)
+    return Repeats(rows, *moments_of(rows, step))
+
+
 def _left_out(
-    sums: RepeatSums, campaign: Campaign, *, accidents: bool
-) -> tuple[RepeatSums, Campaign, list[RejectedRow]]:
+    repeats: Repeats, campaign: Campaign, *, accidents: bool
+) -> tuple[Repeats, Campaign, list[RejectedRow]]:
     """Leave out outliers, as accidents or as a tail."""
-    rejected = list[RejectedRow]()
-    while worst := _leave_out_worst(sums, accidents=accidents):
+    rejected, step = list[RejectedRow](), repeats.moments.step
+    while worst := _worst_rows(repeats, campaign.layout, accidents=accidents):
         rejected += worst
         campaign = without(campaign, worst)
-        if sums.stale:
-            del sums  # there is no room for two where the mirror is large
-            sums = RepeatSums(campaign)
-    return sums, campaign, rejected
+        repeats = _repeats_of(campaign, step)
+    return repeats, campaign, rejected
 
 
-def _tails(sums: RepeatSums) -> float:
+def _tails(repeats: Repeats) -> float:
     """Return the scatter of rows over that by the median; 1 of a normal distribution."""
-    moments = sums.moments
-    if moments.repeats < 2:
+    if repeats.moments.repeats < 2:
         return 1.0
-    noise, robust = _noises(sums)
+    noise, robust = _noises(repeats)
     return float(np.median(noise / np.maximum(robust, 1e-300)))
+
+
+def _displacement(rows: Rows, campaign: Campaign) -> Array | None:
+    """Return (g, n) mean displacements of the groups [m]; None without POSITION."""
+    zeros = rest_positions(campaign)
+    if zeros is None:
+        return None
+    displaced = (
+        cycle.used(cycle.position, slice(None)) - zero
+        for cycle, zero in zip(campaign.cycles, zeros, strict=True)
+        if cycle.position is not None
+    )
+    return rows.means(displaced, len(rows.reference))
 
 
 def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
@@ -236,7 +270,7 @@ def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Mome
     ``reference`` is the (n,) zero of displacements [m]: for a part, the `common_reference` of the
     campaign. If it is NaN, a part must contain whole cycles.
     """
-    return RepeatSums(campaign, reference).moments
+    return moments_of(rows_of(campaign, reference), step_of(prints_of(campaign)))[0]
 
 
 def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
@@ -256,39 +290,50 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
     return Campaign(tuple(cycles))
 
 
-def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
-    """Leave out the worst outlier of each group; both rows of a pair."""
-    moments = sums.moments
+def _worst_rows(repeats: Repeats, layout: Layout, *, accidents: bool) -> list[RejectedRow]:
+    """Return the worst outlier of each group that has one; both rows of a pair."""
+    rows, moments, scatter = repeats
     if moments.repeats < 2:
         return []
-    noise, robust = _noises(sums)
+    noise, robust = _noises(repeats)
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(accidents & (noise > 1.5 * robust), robust, noise)
     tests = moments.rows.sum() * len(noise)
     limit = t_isf(OF_EACH_KIND / 2 / tests, moments.repeats - 1)
     limit *= 1.0 if accidents else FAR_OUT_FACTOR
-    suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
-    if suspicious.size:  # noise of rounding
-        noise = np.maximum(noise, 1e-12 * max(moments.mean.max(), -moments.mean.min()))
-    return sums.leave_out_worst(suspicious.tolist(), noise, limit)
+    if not (scatter.furthest > limit * noise).any():
+        return []
+    # noise of rounding
+    noise = np.maximum(noise, 1e-12 * max(moments.mean.max(), -moments.mean.min()))
+    ids, worst, pairs = layout.id[layout.enabled], dict[int, RejectedRow](), list[RejectedRow]()
+    for some, _, apart in rows.deviations():
+        sigmas = np.abs(apart) * np.sqrt(rows.distance_factor[some])[:, None] / noise
+        for at in np.flatnonzero(sigmas.max(axis=1) > limit).tolist():
+            i, r = int(sigmas[at].argmax()), some.start + at
+            group, far = int(rows.group[r]), float(sigmas[at, i])
+            row = RejectedRow(int(rows.file[r]), int(rows.row[r]), int(ids[i]), far, "repeats")
+            if rows.number[group] == 2:
+                pairs.append(row)
+            elif group not in worst or worst[group].sigmas < far:
+                worst[group] = row
+    return sorted([*worst.values(), *pairs], key=lambda row: (row.cycle, row.row))
 
 
-def _noises(sums: RepeatSums) -> tuple[Array, Array]:
+def _noises(repeats: Repeats) -> tuple[Array, Array]:
     """Return (n,) noise of a reading from all rows, and from the median; both with rounding.
 
     If most repeats have the same rounding step, those of the next one are not outliers, and a
     median does not measure noise.
     """
-    moments = sums.moments
-    scatter, robust = moments.scatter / moments.repeats, _robust(sums.samples)
+    moments = repeats.moments
+    scatter, robust = moments.scatter / moments.repeats, _robust(repeats.scatter.samples)
     rounding = moments.rounding
     return np.sqrt(scatter + rounding), np.sqrt(robust**2 + 12 * rounding)
 
 
-def _robust(samples: Sequence[Array]) -> Array:
+def _robust(samples: Array) -> Array:
     """Return (n,) noise of a reading from the median, which an actuator's spikes do not affect."""
-    stride = max(1, sum(map(len, samples)) // 200)  # which give the noise to 8 %
-    some = np.concatenate([sample[::stride] for sample in samples]).T
+    some = samples[:: max(1, len(samples) // 200)].T  # which give the noise to 8 %
     ordered = np.sort(np.abs(some))  # faster than np.median
     count = ordered.shape[1]
     middle = slice((count - 1) // 2, count // 2 + 1)
@@ -310,60 +355,61 @@ MIN_FROZEN_ROWS = 3  # consecutive, at least
 MIN_FROZEN_FRACTION = 0.1  # of the rows of a file, consecutive
 
 
-def frozen_readings(campaign: Campaign, prints: RowPrints) -> Iterator[Finding]:
+def frozen_readings(campaign: Campaign, prints: Sequence[Prints]) -> Iterator[Finding]:
     """Yield readings that do not change from shape to shape in a file, while others do.
 
     Readings that are constant in all files are those of `checks.constant_actuators`.
     """
-    whole = [prints.longest[file] == prints.rows[file] - 1 for file in prints.longest]
+    whole = [each.longest == len(each.codes) - 1 for each in prints if each.codes.size]
     constant = np.logical_and.reduce(whole)
-    for file, longest in sorted(prints.longest.items()):
-        still, share = _stand_still(prints, file), longest / prints.rows[file]
+    for cycle, each in zip(campaign.cycles, prints, strict=True):
+        if not each.codes.size:
+            continue
+        still, share = _stand_still(each), each.longest / len(each.codes)
         frozen = np.flatnonzero(still & ~constant)
         if still.all() and not constant.all():
-            where, size = f"all actuators in {campaign.cycles[file].name}", float(share.min())
+            where, size = f"all actuators in {cycle.name}", float(share.min())
             yield Finding(code=Code.FROZEN_READINGS, where=where, size=size)
         elif frozen.size <= max(1, LIMITS.bad_fraction * still.size):
             for i in frozen.tolist():
-                where, size = f"{{}} in {campaign.cycles[file].name}", float(share[i])
+                where, size = f"{{}} in {cycle.name}", float(share[i])
                 yield about_actuators(campaign.layout, Code.FROZEN_READING, [i], where, size=size)
 
 
-def _stand_still(prints: RowPrints, file: int) -> NDArray[np.bool_]:
+def _stand_still(prints: Prints) -> NDArray[np.bool_]:
     """Return which (n,) readings of a file are frozen, but not at a limit of several."""
-    longest, common = prints.longest[file], _at_common_limit(prints, file)
-    at_limit = common & (np.count_nonzero(common) > 1) & (prints.at_limit[file] > longest)
-    least = max(MIN_FROZEN_ROWS, MIN_FROZEN_FRACTION * prints.rows[file])
+    longest, common = prints.longest, _at_common_limit(prints)
+    at_limit = common & (np.count_nonzero(common) > 1) & (prints.at_limit > longest)
+    least = max(MIN_FROZEN_ROWS, MIN_FROZEN_FRACTION * len(prints.codes))
     return np.asarray((longest >= least) & ~at_limit)
 
 
-def _at_common_limit(prints: RowPrints, file: int) -> NDArray[np.bool_]:
+def _at_common_limit(prints: Prints) -> NDArray[np.bool_]:
     """Return which (n,) readings of a file reach the largest of all."""
-    limit = prints.limit[file]
-    return np.asarray(limit == limit.max(initial=0.0))
+    return np.asarray(prints.limit == prints.limit.max(initial=0.0))
 
 
-def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
+def clipped_readings(campaign: Campaign, prints: Sequence[Prints]) -> tuple[Finding, ...]:
     """Return readings that end at a limit, which several shapes reach to the last bit.
 
     If the force ends there as well, a limit is no fault: it is one if data do not fit.
     """
     clipped, largest = np.zeros(int(campaign.layout.enabled.sum()), dtype=bool), 0.0
-    for file, limit in prints.limit.items():
-        count, common = prints.at_limit[file], _at_common_limit(prints, file)
+    for each in prints:
+        count, common = each.at_limit, _at_common_limit(each)
         here = (count >= MIN_FROZEN_ROWS) | (common & (count[common].sum() >= MIN_FROZEN_ROWS))
-        here &= (limit > 0.0) & ~_stand_still(prints, file)
+        here &= (each.limit > 0.0) & ~_stand_still(each)
         clipped |= here
-        largest = max(largest, float(limit[here].max(initial=0.0)))
-    if not clipped.any() or _few_valued(prints):
+        largest = max(largest, float(each.limit[here].max(initial=0.0)))
+    if not clipped.any() or _few_valued(next(each for each in prints if each.codes.size)):
         return ()
     where, size = f"{{}}, at {largest:.4g} N", float(clipped.mean())
     return (about_actuators(campaign.layout, Code.CLIPPED_READINGS, clipped, where, size=size),)
 
 
-def _few_valued(prints: RowPrints) -> bool:
+def _few_valued(prints: Prints) -> bool:
     """Return whether readings have only few values, as if shapes are commanded in levels."""
-    ordered = np.sort(np.abs(prints.of_first), axis=0)
+    ordered = np.sort(np.abs(prints.force), axis=0)
     rest = ordered < ordered[-1:]
     distinct = (np.diff(ordered, axis=0) > 0.0) & rest[1:]
     return bool(np.median(distinct.sum(axis=0) / np.maximum(rest.sum(axis=0), 1)) < 0.5)
