@@ -80,7 +80,7 @@ def track(*given: Given, accept_rejected: bool = False, segment: int | None = No
     return _law(gather_days(every, accept_rejected=accept_rejected))
 
 
-def _law(days: Sequence[DatedCalibration]) -> Tracking:
+def _law(days: tuple[DatedCalibration, ...]) -> Tracking:
     """Return the law of the calibrations, which are in order of time."""
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
