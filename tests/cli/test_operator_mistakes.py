@@ -53,11 +53,6 @@ def holding(*at):
     return change
 
 
-def elsewhere(layout, at, far):
-    """Return a layout in which one actuator is said to stand so far from where it is [m]."""
-    return replace(layout, x=np.where(np.arange(layout.n) == at, layout.x + far, layout.x))
-
-
 def exchanged(one, other):
     order = np.arange(45)
     order[[one, other]] = other, one
@@ -153,15 +148,6 @@ FAULTS = {
         changed(holding(7), ONE),
         LIMITED, "frozen sensor (POSITION of actuator 8", "all rows of ring 3",
     ),
-    # places
-    **{
-        f"a place {far} m off": (
-            changed(lambda c, far=far: replace(c, layout=elsewhere(c.layout, 22, far))),
-            NOT, "actuator is not at its X and Y (actuator 23, about x = 0.05",
-            "correct X and Y in that row",
-        )
-        for far in (0.01, 1.0)
-    },
     # labels
     "LOAD 'rign'": (
         changed(lambda c: load(c, name="rign"), ONE), LIMITED,
@@ -310,7 +296,6 @@ COMMANDS = {
     "plan PATH": set(),
     "acquire PATH -o OUT": set(),
     "simulate PATH -o OUT": set(),
-    "serve PATH -o OUT": set(),
     "prove PATH": {"cycle", "stiffness"},
     "mirrors PATH": set(),
     "calibrate STIFFNESS --method reciprocity --mirror PATH": set(),

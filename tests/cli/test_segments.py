@@ -151,34 +151,3 @@ def test_each_segment_is_tracked_and_recalibrated(folder, inside, tmp_path):
     assert "law.fits: cannot be read" in wrong
     known = ("--known", tmp_path / "law-1.fits", "--actuators", 105, "--segment", 1)
     assert inside("recalibrate", after, *known)[0] == 0
-
-
-def test_each_segment_is_recalibrated_by_its_part_of_the_reference(folder, inside, tmp_path):
-    factor, random = np.where(np.arange(42) == 4, 0.8, 1.0), np.random.default_rng(7)
-    bare = [c for c in day(1, 14.0) if c.load.key == "bare"]
-    layout = bare[0].layout
-    k = np.where(layout.segment[:, None] == layout.segment, random.normal(0.0, 1e4, (42, 42)), 0.0)
-    k += np.diag(random.uniform(0.9e5, 1.1e5, 42))
-    new = factor[np.searchsorted(np.sort(layout.id), layout.id)]
-    run = []
-    for c in bare:
-        noise = 1e-5 * random.standard_normal(c.force.shape)
-        position = np.linalg.solve(k, np.asarray(c.force).T).T
-        run.append(replace(c, force=c.force / new + noise, position=position))
-    write_campaign(run, tmp_path / "after")
-    matrix = tn.StiffnessMatrix(
-        "TEST", bare[0].date, layout, k + (k != 0.0) * random.normal(size=k.shape)
-    )
-    tn.write_stiffness(matrix, tmp_path / "k.fits")
-    assert inside("calibrate", folder, "-o", tmp_path / "known.fits")[0] == 0
-    words = ("--known", tmp_path / "known.fits", "--actuators", 105, "--reference")
-    made = tmp_path / "new.fits"
-    assert (
-        inside("recalibrate", tmp_path / "after", *words, tmp_path / "k.fits", "-o", made)[0] == 0
-    )
-    for number in (1, 2, 3):
-        before, after = (
-            tn.read_calibration(tmp_path / f"{name}-{number}.fits") for name in ("known", "new")
-        )
-        expected = np.where(before.layout.id == 105, 0.8, 1.0)
-        assert after.alpha / before.alpha == pytest.approx(expected, abs=2e-4)

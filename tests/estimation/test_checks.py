@@ -184,6 +184,14 @@ def test_exchanged_cables_are_reported(noise, pair, position):
     assert tn.calibrate(Campaign(tuple(files))).verdict.level <= "doubtful"
 
 
+@pytest.mark.parametrize("far", [0.01, 1.0])
+def test_an_actuator_off_its_place_makes_the_result_doubtful(far):
+    files = p45(1e-4, 3)
+    x = files[0].layout.x + far * (np.arange(45) == 22)
+    files = [replace(c, layout=replace(c.layout, x=x)) for c in files]
+    assert tn.calibrate(Campaign(tuple(files))).verdict.level <= "doubtful"
+
+
 def test_the_most_likely_order_is_the_true_one_for_any_gains():
     random = np.random.default_rng(2)
     root = random.standard_normal((20, 17))

@@ -21,7 +21,6 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import TooManyOutliers
 from truenewton.estimation import campaign_ml
 from truenewton.estimation.paper.equations import squared_distances, standing_out
-from truenewton.estimation.readings import rows as row_blocks
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.statics.load import Load
 
@@ -154,9 +153,7 @@ def test_too_many_bad_rows_are_refused_with_their_number():
     assert f"of {8 * 28} rows" in refused.value.fault
 
 
-def test_sums_exclude_rejected_rows(monkeypatch):
-    """With blocks of five rows, a part of the sums is recomputed."""
-    monkeypatch.setattr(row_blocks, "ROWS_AT_ONCE", 5)
+def test_sums_exclude_rejected_rows():
     campaign, _ = small(4, cycles=5)
     for k in range(10):  # from below the noise to larger than all forces
         campaign = with_spike(campaign, k, 3 * k, k, 10.0 ** (k - 4))

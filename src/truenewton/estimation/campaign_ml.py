@@ -238,7 +238,7 @@ def _fit_campaign(screened: ScreenedCampaign, population: bool) -> Estimate:
 def _examined_whole(
     problem: Problem, minimum: Minimum, screened: ScreenedCampaign
 ) -> ExaminedFit | None:
-    """Return the fit without effects to all groups, if only effects unbalanced some; else None.
+    """Return the fit to all groups if only effects that were corrected unbalanced some; else None.
 
     Coils and magnets whose force depends on the gap, for example, unbalance the largest motions.
     """
@@ -249,7 +249,8 @@ def _examined_whole(
         return None
     plain = ExaminedFit(problem, moments, minimum)
     left = examined(plain, screened.structure, screened.samples)
-    if not (left.effects and left.fits):
+    corrected = [effect.corrected for effect in left.effects]
+    if not (corrected and all(corrected) and left.fits):
         return None
     distance = left.problem.distances(left.minimum.values, left.moments)
     return left if distance.max() <= largest_distance(moments) else None

@@ -55,13 +55,13 @@ def transposed(ratio):
 
 def not_improved(before, ratio):
     symmetry = SimpleNamespace(asymmetry=before, asymmetry_with_alpha=ratio * before)
-    return codes(facts.doubts_of(np.eye(8), np.ones(8), symmetry))
+    return codes(facts.doubts_of(100.0 * np.eye(8), np.ones(8), symmetry))
 
 
 def negative(edges):
     symmetry = SimpleNamespace(asymmetry=0.0, asymmetry_with_alpha=0.0)
     with mock.patch.object(facts, "negative_modes", return_value=(np.array([-edges]), 1.0)):
-        return codes(facts.doubts_of(np.eye(8), np.ones(8), symmetry))
+        return codes(facts.doubts_of(100.0 * np.eye(8), np.ones(8), symmetry))
 
 
 # -- order of rows -------------------------------------------------------------------------------

@@ -151,7 +151,7 @@ def without_copies(matrix: StiffnessMatrix) -> StiffnessMatrix:
     rows, columns = (
         ~(each - np.diag(np.diag(each))).any(axis=1) | _copied(each) for each in (k, k.T)
     )
-    if len(k) < MIN_JUDGED_ACTUATORS or not k[rows].any():
+    if len(k) < MIN_JUDGED_ACTUATORS or rows.all() or not k[rows].any():
         return matrix
     stiffness = np.array(matrix.stiffness)
     stiffness[np.ix_(on, on)] = np.where(rows[:, None] | (rows & columns), 0.0, k)
