@@ -21,7 +21,7 @@ from helpers.tracked import (
 )
 from truenewton.errors import RankDeficient
 from truenewton.recalibration.summary import lines as lines_of_run
-from truenewton.tracking.days import covariances, gather_days
+from truenewton.tracking.days import covariances, gather_days, named
 from truenewton.tracking.lines import Scatter, estimate_scatter, expanded, relative_days
 from truenewton.tracking.summary import lines
 
@@ -46,7 +46,7 @@ def scattered(seed, own=0.0, common=0.0):
 
 def test_scatter_is_where_the_restricted_likelihood_of_all_days_is_largest():
     """Against the density of contrasts of all days in one matrix, turned at random."""
-    days = gather_days(scattered(3, own=3e-4, common=5e-4))
+    days = gather_days(map(named, scattered(3, own=3e-4, common=5e-4)))
     settings = np.column_stack([np.array(TEMPERATURES) - 18.0, 0.1 * np.arange(6) - 0.25])
     found = estimate_scatter(
         *relative_days(days, ALL, settings).contrasts(), np.eye(45), ALL, common=True

@@ -76,7 +76,12 @@ def track(*given: Given, accept_rejected: bool = False, segment: int | None = No
     >>> f"{100 * np.mean(tracking.coefficient):.2f} % per kelvin"
     '-0.10 % per kelvin'
     """
-    days = gather_days([named(item, segment) for item in given], accept_rejected=accept_rejected)
+    every = [named(item, segment) for item in given]
+    return _law(gather_days(every, accept_rejected=accept_rejected))
+
+
+def _law(days: tuple[DatedCalibration, ...]) -> Tracking:
+    """Return the law of the calibrations, which are in order of time."""
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(

@@ -439,8 +439,8 @@ def copied_files(
 def _nearly_alike(campaign: Campaign, prints: Sequence[Prints]) -> list[tuple[int, int]]:
     """Return pairs of files under one load that differ by much less than their noise.
 
-    So does a file from its copy in other digits. The noise is the difference of other pairs,
-    without the zero and the gain of each actuator; three pairs are needed to know it.
+    So does a file from its copy in other digits. The noise is the typical difference of other
+    pairs, without the zero and the gain of each actuator; three pairs are needed to know it.
     """
     rows, load = _centred(common_rows(prints)), campaign.load_index
     if rows.shape[1] < MIN_SHARED_LABELS:
@@ -450,7 +450,7 @@ def _nearly_alike(campaign: Campaign, prints: Sequence[Prints]) -> list[tuple[in
         if load[one] == load[other]:
             apart, of = rows[other] - rows[one], rows[one]
             apart -= of * (np.sum(apart * of, axis=0) / np.maximum(_square(of), 1e-300))
-            distance[one, other] = float(np.mean(apart**2))
+            distance[one, other] = float(np.median(apart**2))  # spikes do not count
     size = FINEST_NOISE**2 * float(np.mean(rows**2)) if len(distance) > 2 else np.inf
     usual = np.quantile(list(distance.values()), 0.5) if distance else 0.0
     return [at for at, each in distance.items() if usual > size and agree(each, usual)]
