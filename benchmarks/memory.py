@@ -1,10 +1,10 @@
-"""What `truenewton calibrate` takes of memory for a campaign that may be larger than it.
+"""The memory that a campaign takes: its data, and about one copy of them.
 
-    python benchmarks/memory.py [--actuators 1170] [--cycles 5]
+    python benchmarks/memory.py [--actuators 1170] [--cycles 5] [--shapes N] [--position]
 
-Cycle files with FORCE, POSITION and both gradients are written one by one into a temporary folder
-(5352 actuators: 9 GB), then calibrated by a process of its own, whose peak is what the system says
-of it (ru_maxrss).
+Cycle files are written one by one into a temporary folder. One process reads them and makes their
+moments, another calibrates them if there are enough shapes. Their peaks are what the system reports
+(ru_maxrss), less that of a process that only imports the same modules.
 """
 
 from __future__ import annotations
@@ -19,18 +19,28 @@ from pathlib import Path
 
 LOADS = 2
 UNIT = 1 if sys.platform == "darwin" else 1024  # of ru_maxrss, in bytes
+IMPORTS = """
+from truenewton.calibration.methods import calibrate
+from truenewton.estimation.screening.screen import campaign_moments
+from truenewton.reading import read
+"""
+STEPS = {
+    "reading": "read({0!r})",
+    "reading and moments": "campaign_moments(read({0!r}))",
+    "calibrate": "calibrate({0!r})",
+}
 
 
-def write_files(n: int, cycles: int, folder: Path) -> None:
+def write_files(n: int, cycles: int, shapes: int, folder: Path, *, position: bool) -> None:
     """Write random forces that balance, and their noise, a cycle after the other."""
     from speed import balanced_cycles
 
     import truenewton as tn
 
     folder.mkdir()
-    for number, cycle in enumerate(balanced_cycles(n, cycles, 600.0, 31.0), 1):
+    gradients = (600.0, 31.0) if position else (0.0, 0.0)
+    for cycle in balanced_cycles(n, cycles, *gradients, shapes=shapes):
         tn.write_cycle(cycle, folder / f"{cycle.load.name}-{cycle.number:03d}.fits")
-        print(f"  written: {number} of {LOADS * cycles} files", file=sys.stderr)
 
 
 def child(*arguments: object) -> tuple[float, float]:
@@ -47,23 +57,24 @@ def child(*arguments: object) -> tuple[float, float]:
     return time.perf_counter() - start, UNIT * used.ru_maxrss
 
 
-def measure(n: int, cycles: int) -> None:
-    """Make a campaign, calibrate it and print what that took."""
+def measure(n: int, cycles: int, shapes: int, *options: str) -> None:
+    """Make a campaign, and print the memory of each step relative to its data."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "campaign"
-        child(__file__, "--make", folder, "--actuators", n, "--cycles", cycles)
-        size = sum(path.stat().st_size for path in folder.iterdir())
-        print(f"{n} actuators, {cycles} cycles x {LOADS} loads x {2 * n} rows: {size / 1e6:.0f} MB")
-        sys.stdout.flush()
-        taken, peak = child("-m", "truenewton", "calibrate", folder, "-o", f"{folder}.alpha.fits")
-    square = 8e-6 * n**2
-    shapes = LOADS * 2 * square
-    print(
-        f"  {taken:.0f} s; peak {1e-6 * peak:.0f} MB = distinct shapes {shapes:.0f} MB"
-        f" + {(1e-6 * peak - shapes) / square:.1f} n^2 of {square:.0f} MB;"
-        f" {size / peak:.2f} bytes of files for one of memory"
-        + (" (wanted: under 2500 MB)" if n == 5352 else "")
-    )
+        sizes = ("--actuators", n, "--cycles", cycles, "--shapes", shapes)
+        child(__file__, "--make", folder, *sizes, *options)
+        data = LOADS * cycles * 2 * shapes * n * 8 * (1 + len(options))
+        print(f"{n} actuators, {LOADS} loads x {cycles} cycles x {2 * shapes} rows:", end=" ")
+        print(f"{data / 1e6:.0f} MB of data", flush=True)
+        _, before = child("-c", IMPORTS)
+        for name, step in STEPS.items():
+            if name == "calibrate" and shapes < n:
+                continue
+            taken, peak = child("-c", IMPORTS + step.format(str(folder)))
+            peak -= before
+            print(
+                f"  {name:20} {taken:5.1f} s, {peak / 1e6:6.0f} MB = {peak / data:.2f} of the data"
+            )
 
 
 def main() -> None:
@@ -71,12 +82,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--actuators", type=int, default=1170)
     parser.add_argument("--cycles", type=int, default=5)
+    parser.add_argument("--shapes", type=int, help="of each sign; by default as many as actuators")
+    parser.add_argument("--position", action="store_true", help="with POSITION and gradients")
     parser.add_argument("--make", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    n, shapes = options.actuators, options.shapes or options.actuators
+    own = ["--position"] if options.position else []
     if options.make:
-        write_files(options.actuators, options.cycles, options.make)
+        write_files(n, options.cycles, shapes, options.make, position=options.position)
     else:
-        measure(options.actuators, options.cycles)
+        measure(n, options.cycles, shapes, *own)
 
 
 if __name__ == "__main__":

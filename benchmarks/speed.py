@@ -57,37 +57,39 @@ def ring_layout(n: int) -> tn.Layout:
     return tn.rings([0.043 + 0.0303 * k for k in range(len(counts))], counts)
 
 
-def balanced_cycles(n: int, cycles: int, coil: float = 0, bias: float = 0) -> Iterator[tn.Cycle]:
-    """Yield cycles x 2 loads x 2 n shapes of random forces that balance, and their noise.
+def balanced_cycles(
+    n: int, cycles: int, coil: float = 0, bias: float = 0, shapes: int | None = None
+) -> Iterator[tn.Cycle]:
+    """Yield cycles x 2 loads x 2 shapes (n unless given) of random forces that balance, and noise.
 
     With gradients of coils [1/m] and bias magnets [N/m] POSITION is recorded, too.
     """
-    random, layout = np.random.default_rng(1), ring_layout(n)
+    random, layout, m = np.random.default_rng(1), ring_layout(n), shapes or n
     a = arms(layout)
     inverse = np.linalg.pinv(a)
     alpha = random.uniform(0.9, 1.1, n)
     weight, bias_force = -0.065 * n, 0.097 * n
-    elastic = 0.1 * random.standard_normal((n, n))
-    z = 1e-6 * random.standard_normal((n, n))
+    elastic = 0.1 * random.standard_normal((m, n))
+    z = 1e-6 * random.standard_normal((m, n))
     known: dict[str, Any] = (
         {"coil_gradient": coil, "bias_gradient": bias} if coil else {"force_error": NOISE}
     )
     for place, load in enumerate((tn.Load("bare"), tn.Load("ring", -0.5, 0.005, tool="ring"))):
         k = np.array([weight + load.added + bias_force, 0.02, -0.03])
-        exact = np.empty((n, 2, n))
+        exact = np.empty((m, 2, n))
         for at, sign in enumerate((1.0, -1.0)):
             # All that the bias magnets change, the coils must balance.
             exact[:, at] = sign * elastic
             exact[:, at] -= (exact[:, at] @ a.T + sign * bias * z @ a.T + k) @ inverse.T
             exact[:, at] /= alpha * (1.0 + sign * coil * z)
-        rows = exact.reshape(2 * n, n)
+        rows = exact.reshape(2 * m, n)
         for number in range(1, cycles + 1):
             force = random.standard_normal(rows.shape)
             force *= NOISE
             force += rows
             position = None
             if coil:
-                position = np.stack([z, -z], axis=1).reshape(2 * n, n)
+                position = np.stack([z, -z], axis=1).reshape(2 * m, n)
                 position += 1e-5 * random.standard_normal(n)  # where each sensor has its zero
                 position.setflags(write=False)
             force.setflags(write=False)
@@ -99,12 +101,12 @@ def balanced_cycles(n: int, cycles: int, coil: float = 0, bias: float = 0) -> It
                 weight=weight,
                 weight_error=0.02,
                 layout=layout,
-                time=0.5 * np.arange(2 * n, dtype=float),
-                shape=np.repeat(np.arange(1, n + 1), 2),
-                sign=np.tile([1, -1], n),
+                time=0.5 * np.arange(2 * m, dtype=float),
+                shape=np.repeat(np.arange(1, m + 1), 2),
+                sign=np.tile([1, -1], m),
                 force=force,
                 position=position,
-                valid=np.ones(2 * n, dtype=bool),
+                valid=np.ones(2 * m, dtype=bool),
                 **known,
             )
 

@@ -15,9 +15,10 @@ from helpers.segmented import in_one, pieces
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import FormatError, SeveralSegments
 from truenewton.estimation.findings.estimate import Diagnosis
+from truenewton.files.fits import read_fits
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
-from truenewton.records.file import write_campaign, write_cycle, write_stiffness
+from truenewton.records.file import cycle_from, write_campaign, write_cycle, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -415,3 +416,10 @@ def test_texts_of_actuators_are_kept_and_numbers_stay_numbers(tmp_path):
         assert read(tmp_path / "k.fits").layout.number.tolist() == given
     fewer = layout.part(np.arange(1, layout.n))
     assert fewer.difference(layout) == f"{layout.n} and {layout.n - 1} actuators; only one has 1"
+
+
+def test_a_cycle_is_the_array_that_was_read(tiny, tmp_path):
+    write_cycle(tiny.cycles[0], tmp_path / "c.fits")
+    file = read_fits(tmp_path / "c.fits")
+    force, _ = file.extensions["MEASUREMENTS"].columns["FORCE"]
+    assert cycle_from(file).force is force

@@ -251,7 +251,8 @@ def _table(hdu: Any) -> Table:
 
 def _native(values: NDArray[Any]) -> NDArray[Any]:
     """Copy to the machine's byte order, read-only so that a record need not copy it again."""
-    copy = np.array(values, dtype=values.dtype.newbyteorder("="), order="C")
+    # By its name: a dtype that is swapped back is another object, for which numpy copies again.
+    copy = np.array(values, dtype=values.dtype.newbyteorder("=").str, order="C")
     copy.setflags(write=False)
     return copy
 

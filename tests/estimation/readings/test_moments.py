@@ -1,4 +1,4 @@
-"""Moments in one pass equal those in two passes, for any order of rows."""
+"""Moments equal those of loops over the rows, for any order of rows."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from helpers.balanced import campaign_of, changed
+from truenewton import arrays
+from truenewton.estimation.readings.rows import row_weights, rows_of
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.records.campaign import Campaign
 
@@ -86,3 +88,16 @@ def test_moments_equal_those_of_two_passes(made, weights):
     check(moments, *two_passes(campaign, weights))
     assert moments.mean.shape[1] == 13
     assert moments.rows.sum() == sum(c.valid.sum() for c in campaign.cycles)
+
+
+@pytest.mark.parametrize("block", [800, 2**24])
+def test_means_add_rows_in_their_order_to_the_last_bit(monkeypatch, block):
+    monkeypatch.setattr(arrays, "BLOCK_BYTES", block)
+    campaign = with_noises(with_repeats_in_a_cycle(), (1e-4, 3e-4))
+    weights = row_weights(campaign)
+    rows = rows_of(campaign)
+    for label, mean in zip(rows.labels.tolist(), rows.mean, strict=True):
+        parts, total, heaviest = grouped(campaign, weights)[tuple(label)], 0.0, max(weights)
+        for weight, force in parts:
+            total = total + (weight / heaviest) * force
+        assert np.array_equal(mean, total * (heaviest / sum(weight for weight, _ in parts)))

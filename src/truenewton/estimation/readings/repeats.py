@@ -33,17 +33,20 @@ def moments_of(rows: Rows, step: Array | float = 0.0) -> tuple[Moments, Scatter]
     np.add.at(hour, (rows.file, rows.group), rows.weight * rows.hour)
     square = np.zeros(groups)
     np.add.at(square, rows.group, rows.weight * rows.hour**2)
-    scatter, furthest, samples = np.zeros(n), np.zeros(n), list[Array]()
+    scatter, furthest = np.zeros((2, n))
     zero, gain = np.zeros((2, files + 1, n))
     stride = max(1, len(rows.group) // MAX_SAMPLES)
     sampled = (np.arange(len(rows.group)) - np.searchsorted(rows.file, rows.file)) % stride == 0
     sampled &= rows.distance_factor > 0.0
+    samples, taken = np.empty((np.count_nonzero(sampled), n)), 0
     for some, mean, apart in rows.deviations():
         heavy, k, factor = rows.weight[some], rows.file[some.start], rows.distance_factor[some]
         for sums, values in ((zero, apart), (gain, apart * mean)):
             sums[k] += heavy @ values
             sums[-1] += (heavy * rows.hour[some]) @ values
-        samples.append(apart[sampled[some]] * np.sqrt(factor[sampled[some]])[:, None])
+        chosen = np.flatnonzero(sampled[some])
+        samples[taken : taken + len(chosen)] = apart[chosen] * np.sqrt(factor[chosen])[:, None]
+        taken += len(chosen)
         apart *= apart
         scatter += heavy @ apart
         apart *= factor[:, None]
@@ -60,7 +63,7 @@ def moments_of(rows: Rows, step: Array | float = 0.0) -> tuple[Moments, Scatter]
         within=WithinGroups(weight, hour, square, rows.mean, zero, gain),
         step=step,
     )
-    return moments, Scatter(np.sqrt(furthest), np.concatenate(samples))
+    return moments, Scatter(np.sqrt(furthest), samples)
 
 
 # -- fingerprints of some rows ---------------------------------------------------------------------

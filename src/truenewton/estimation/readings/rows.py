@@ -130,7 +130,7 @@ class Rows:
         """Yield which of the N rows, and their values, by (N_k, m) values of each file."""
         start = 0
         for of_file in values:
-            for some in blocks(len(of_file), 8 * of_file.shape[1]):
+            for some in blocks(len(of_file), 4 * 8 * of_file.shape[1]):  # and what is made of them
                 yield slice(start + some.start, start + some.stop), of_file[some]
             start += len(of_file)
 
@@ -141,9 +141,8 @@ class Rows:
         """
         heaviest, mean = self.weight.max(), np.zeros((len(self.labels), width))
         for rows, some in self.parts(values):
-            group, share = self.group[rows], self.weight[rows] / heaviest
-            for of_each in distinct(group):
-                mean[group[of_each]] += share[of_each, None] * some[of_each]
+            share = self.weight[rows.start] / heaviest
+            np.add.at(mean, self.group[rows], some if share == 1.0 else share * some)
         mean *= (heaviest / self.total)[:, None]
         return mean
 
@@ -238,12 +237,3 @@ def row_groups(campaign: Campaign) -> tuple[NDArray[np.int64], list[NDArray[np.i
         codes = 2 * (span * whole[:, 0] + whole[:, 1]) + (whole[:, 2] > 0)
         _, first, group = np.unique(codes, return_index=True, return_inverse=True)
     return whole[first], np.split(group.ravel(), ends)
-
-
-def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Yield sets of the (N,) rows, each with at most one row of a group; mostly one of all rows."""
-    rest = np.argsort(group, kind="stable")
-    while rest.size:
-        first = np.concatenate([[True], np.diff(group[rest]) > 0])
-        yield rest[first]
-        rest = rest[~first]
