@@ -141,8 +141,10 @@ class Rows:
         """
         heaviest, mean = self.weight.max(), np.zeros((len(self.labels), width))
         for rows, some in self.parts(values):
-            share = self.weight[rows.start] / heaviest
-            np.add.at(mean, self.group[rows], some if share == 1.0 else share * some)
+            group, share = self.group[rows], self.weight[rows.start] / heaviest
+            for of_each in distinct(group):  # np.add.at takes four times as long
+                values = some[of_each]
+                mean[group[of_each]] += values if share == 1.0 else share * values
         mean *= (heaviest / self.total)[:, None]
         return mean
 
@@ -237,3 +239,12 @@ def row_groups(campaign: Campaign) -> tuple[NDArray[np.int64], list[NDArray[np.i
         codes = 2 * (span * whole[:, 0] + whole[:, 1]) + (whole[:, 2] > 0)
         _, first, group = np.unique(codes, return_index=True, return_inverse=True)
     return whole[first], np.split(group.ravel(), ends)
+
+
+def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Yield sets of the (N,) rows, each with at most one row of a group; mostly one of all rows."""
+    rest = np.argsort(group, kind="stable")
+    while rest.size:
+        first = np.concatenate([[True], np.diff(group[rest]) > 0])
+        yield rest[first]
+        rest = rest[~first]
