@@ -91,6 +91,9 @@ def stuck_with_noise() -> Result:
 small("files", {
     "POSITION of one file in another unit": lambda: one(position=lambda c: 3.0 * c.position),
     "POSITION of one file of the other sign": lambda: one(position=lambda c: -c.position),
+    "POSITION of one file in another order": lambda: one(
+        position=lambda c: np.roll(c.position, 1, axis=1)
+    ),
     "POSITION not read": lambda: every(position=lambda c: 0.0 * c.position),
     "a sensor frozen in one file": lambda: one(
         position=lambda c: np.where(EIGHTH, c.position[:1], c.position)

@@ -133,6 +133,7 @@ small("matrices", {
     "the diagonal too large": mistaken("diagonal 1 % too large", "svd"),
     "rigid motions partly removed": mistaken("50 % of rigid motions removed", "svd"),
     "5 % of asymmetry": by("svd", noise=0.05),
+    "gains with a gradient": by("ml", lambda k: k * (1.0 + 0.5 * LAYOUT.x)),
     "rows shifted": rows_shifted,
     "forces at rest not subtracted": lambda: screened(rested),
     "interrupted": interrupted,
