@@ -220,7 +220,7 @@ def test_others_that_drifted_a_little_name_nobody_and_the_new_alpha_is_covered()
     assert np.sqrt(np.mean(np.square(scatter))) == pytest.approx(1e-3, rel=0.15)
     assert 3.1 < np.sum(np.square(off)) < 28.3  # chi2 of 12 degrees, 99.5 % each way
     assert "each of the other actuators has changed by 0." in made.limits[0]
-    assert "each changed by" in " ".join(lines_of_run(made, made.calibration))
+    assert "each changed by" in " ".join(lines_of_run(made))
 
 
 def test_a_verdict_of_a_short_run_tells_that_the_others_changed(inside, tmp_path):
