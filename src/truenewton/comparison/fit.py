@@ -51,7 +51,6 @@ STEP_TOLERANCE = 1e-3  # of its error, below which a step ends the iteration
 LAW_STEPS = 6  # in which the variances follow the residuals; then they are kept
 SCALE_PASSES = 5  # over rows and columns, each given the others; further ones change nothing
 MIN_RELATIVE_SIZE = 1e-9  # of a singular value: rigid motions may cost nothing
-MAX_PREDICTION_STEPS = 10  # of conjugate gradients, each of which improves the prediction
 MAX_LEVERAGE = 0.9  # of an element, in the correction of its residual
 # log of B t^2 / A for a typical element: from constant to proportional noise, and its step
 MIX_RANGE, MIX_STEP = (-10.0, 12.0), 2.0
