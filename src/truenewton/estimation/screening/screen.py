@@ -126,7 +126,7 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
     suspects += () if apart else _relabelled(campaign, prints, affected)
     # Rounding is no normal noise, and files that are not what they claim make noise of their own.
-    louder = () if suspects or np.any(step) else louder_with_force(campaign, prints)
+    louder = () if suspects or np.any(step) else louder_with_force(sound, prints_of(sound))
     suspects += louder
     moments, frozen = repeats.moments, tuple[Finding, ...]()
     moments = replace(moments, by_force=sum(each.size for each in louder))
