@@ -170,7 +170,7 @@ def patterns(n):
 
 
 def named_one_by_one(count):
-    finding = about_actuators(LAYOUT, Code.CLIPPED_READINGS, range(count), many="actuators")
+    finding = about_actuators(LAYOUT, Code.STUCK_READING, range(count), many="actuators")
     return " of 100" not in finding.where
 
 

@@ -22,7 +22,6 @@ from truenewton.estimation.screening.hypotheses import (
 )
 from truenewton.estimation.screening.screen import (
     Repeats,
-    _stand_still,
     _worst_rows,
     refuse_too_many,
 )
@@ -107,14 +106,6 @@ def copied(*alike, in_steps=False):
     return len(copied_files(campaign(*[0] * files), prints, in_steps=in_steps))
 
 
-def frozen(longest, rows):
-    prints = SimpleNamespace(
-        longest=np.array([longest, 0]), codes=np.arange(rows), limit=np.array([1.0, 2.0]),
-        at_limit=np.zeros(2, dtype=int),
-    )  # fmt: skip
-    return bool(_stand_still(prints)[0])
-
-
 def left_out_of_a_tail(times):
     """A row at a multiple of the usual limit, if outliers are a tail."""
     moments = SimpleNamespace(
@@ -150,8 +141,8 @@ def screened(rejected=(), tails=1.0, noise=1e-3, first=None, rows=100, prints=No
         _displacement=mock.Mock(return_value=None),
         columns_of_other_rows=nothing, louder_with_force=nothing,
         replace=mock.Mock(return_value=moments),
-        copied_files=nothing, mislabelled_files=nothing, frozen_readings=nothing,
-        clipped_readings=nothing, _left_out=mock.Mock(side_effect=[first or left_out, left_out]),
+        copied_files=nothing, mislabelled_files=nothing,
+        _left_out=mock.Mock(side_effect=[first or left_out, left_out]),
         _tails=mock.Mock(return_value=tails), _relabelled=mock.Mock(return_value=()),
         reading_noise=mock.Mock(side_effect=None if prints else Stop),
         pooled_where_it_fits=mock.Mock(return_value=(moments, None)),
@@ -195,8 +186,6 @@ CASES = [
     ("MIN_RATIO_TO_OTHER_FILES", lambda k: copied(k, 10), 30, 0, 31, 1),
     ("MAX_REJECTED_FRACTION", lambda k: outcome(lambda: refuse_too_many(k, 100)),
      30, "accepted", 31, "refused"),
-    ("MIN_FROZEN_ROWS", lambda k: frozen(k, 10), 2, False, 3, True),
-    ("MIN_FROZEN_FRACTION", lambda k: frozen(k, 100), 9, False, 10, True),
     ("LONG_TAIL_RATIO", readings_are_tailed, 1.07, False, 1.09, True),
     ("SYSTEMATIC_FRACTION", files_affected, 15, [], 16, [0]),
     ("GROSS_SCATTER", scatter_of_repeats, 0.019, "accepted", 0.021, "refused"),

@@ -69,9 +69,6 @@ class Code(StrEnum):
     SIGN_REVERSED = "sign-reversed"
     SHAPE_OFFSET = "shape-offset"
     OTHER_LABELS = "other-labels"
-    FROZEN_READING = "frozen-reading"
-    FROZEN_READINGS = "frozen-readings"
-    CLIPPED_READINGS = "clipped-readings"
     # A stiffness matrix as a whole.
     ASYMMETRIC_STIFFNESS = "asymmetric-stiffness"
     NEGATIVE_STIFFNESS = "negative-stiffness"
