@@ -86,8 +86,8 @@ ENTRIES: dict[Code, Entry] = {
         "unknown effect, most similar to {}",
         remedy="look at the residuals in `truenewton report` for rows, files or actuators that do"
         " not fit. Possible causes, besides {detail}: FORCE of another row or actuator, readings"
-        " that end at a limit, shapes that differ between files, noise that grows with the force,"
-        " a wrong FORCERR or label",
+        " that end at a limit, shapes or mirrors that differ between files, noise that grows with"
+        " the force, a wrong FORCERR or label",
     ),
     Code.NOISE_BY_FORCE: Entry(
         "noise in proportion to the force", level=Level.USABLE, remedy="average more readings"
@@ -134,12 +134,6 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.SAME_READINGS: _of_input("two columns of FORCE are the same", "check their channels"),
     Code.ORDER_OF_POSITION: _of_input("order of FORCE is not that of POSITION", ORDER_OF_BOTH),
-    Code.TWO_MIRRORS: _of_input(
-        "two groups of files with different FORCE for the same SHAPE",
-        "calibrate one of them alone, or correct the cause. Possible causes: two mirrors, another"
-        " list of shapes, an actuator that was replaced, 1.234 for 1234 in the source of FORCE, or"
-        " rows without their load (mark them as not VALID)",
-    ),
     Code.CONSTANT_POSITION: _of_input(
         "POSITION is the same in all rows",
         "if no sensors were read, remove the column. COILGRAD and BIASGRAD are then not used",

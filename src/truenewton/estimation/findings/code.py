@@ -62,7 +62,6 @@ class Code(StrEnum):
     OTHER_ROW = "other-row"
     SAME_READINGS = "same-readings"
     ORDER_OF_POSITION = "order-of-position"
-    TWO_MIRRORS = "two-mirrors"
     CONSTANT_POSITION = "constant-position"
     UNUSABLE_CALIBRATION = "unusable-calibration"
     # Rows that are not what their labels say.

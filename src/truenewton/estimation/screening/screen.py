@@ -42,14 +42,12 @@ from truenewton.estimation.readings.repeats import (
 )
 from truenewton.estimation.readings.rows import Rows, rest_positions, rows_of
 from truenewton.estimation.screening.hypotheses import (
-    MIN_DIFFERENCE_OF_REPEATING_FILES,
     columns_of_other_rows,
     compare_files,
     copied_files,
     mislabelled_files,
     mislabelled_rows,
     named_files,
-    unlike_files,
 )
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import percent
@@ -76,8 +74,6 @@ class ScreenedCampaign:
     )
     structure: Structure | None  # test of these repeats; None if not possible
     suspects: tuple[Finding, ...] = ()  # files that are not what they claim
-    # files that form two groups, as of two mirrors: a fault if nothing balances
-    unlike: tuple[Finding, ...] = ()
     # sensors that read the same in all rows; their displacement is 0
     frozen: tuple[Finding, ...] = ()
     clipped: tuple[Finding, ...] = ()  # always empty
@@ -115,13 +111,14 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
             if refusal is not None and gross:
                 raise refusal
         except TooManyOutliers as error:
-            suspects += () if apart else _relabelled(campaign, prints, range(len(campaign)))
-            suspects = suspects or louder_with_force(campaign, prints)
+            suspects += () if apart else mislabelled_rows(campaign, range(len(campaign)))
+            if not (suspects or error.path):  # of all files
+                suspects = louder_with_force(campaign, prints)
             raise with_suspects(error, suspects) from None
     lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign))
     valid = np.array([cycle.valid.sum() for cycle in campaign.cycles])
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
-    suspects += () if apart else _relabelled(campaign, prints, affected)
+    suspects += mislabelled_rows(campaign, affected) if affected and not apart else ()
     # Rounding is no normal noise, and files that are not what they claim make noise of their own.
     louder = () if suspects or np.any(step) else louder_with_force(sound, prints_of(sound))
     suspects += louder
@@ -133,11 +130,6 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
         displacement[:, still_sensors(campaign).any(axis=0)] = 0.0
         moments = replace(moments, displacement=displacement)
     moments, structure = pooled_where_it_fits(moments, noise, repeats.scatter.samples)
-    unlike = (
-        ()
-        if len(suspects) > len(louder)
-        else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
-    )
     return ScreenedCampaign(
         campaign,
         sound,
@@ -147,7 +139,6 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
         repeats.scatter.samples,
         structure,
         suspects,
-        unlike,
         frozen,
     )
 
@@ -191,15 +182,6 @@ def noise_by_force(campaign: Campaign, prints: Sequence[Prints]) -> float:
 
 def _some(values: Array) -> Array:
     return np.maximum(values, 1e-300)
-
-
-def _relabelled(
-    campaign: Campaign, prints: Sequence[Prints], files: Sequence[int]
-) -> tuple[Finding, ...]:
-    """Return why rows of some files differ: their labels, or the origin of the files."""
-    if not files:
-        return ()
-    return mislabelled_rows(campaign, files) or unlike_files(campaign, prints)
 
 
 def with_suspects(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNewtonError:
