@@ -314,6 +314,28 @@ def test_a_calibration_of_other_files_gives_no_page(p45):
         investigate(Campaign(tuple(cycles)), calibration=other)
 
 
+def test_the_evidence_is_that_of_all_actuators_though_some_are_excluded():
+    """The forces of an excluded actuator are part of the balance."""
+    data = report_data.fine()
+    every, some = (investigate(data, calibration=calibrate(data, exclude=ids)).evidence
+                   for ids in ([], [3]))  # fmt: skip
+    assert some.residuals.after == pytest.approx(every.residuals.after, rel=1e-9)
+    assert [line.after for line in some.balance] == pytest.approx(
+        [line.after for line in every.balance], rel=1e-9
+    )
+
+
+def test_an_excluded_actuator_whose_force_is_0_is_no_part_of_the_evidence():
+    without = report_data.fine(disabled=(2,))
+    on = np.ones(14, dtype=bool)
+    cycles = (replace(c, force=np.nan_to_num(c.force), layout=replace(c.layout, enabled=on))
+              for c in without)  # fmt: skip
+    data = Campaign(tuple(cycles))
+    found = investigate(data, calibration=calibrate(data, exclude=[3])).evidence
+    expected = investigate(without).evidence.residuals.after
+    assert found.residuals.after == pytest.approx(expected, rel=1e-9)
+
+
 def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):
     found = replace(p45.calibration, effects=(
         tn.Finding(code=tn.Code.ACTUATOR_MISFIT, actuators=(3, 17), corrected=True, remedy="look"),
