@@ -3,6 +3,7 @@
 import datetime
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import truenewton as tn
 from helpers.json_output import checked
 from helpers.segmented import in_one, pieces
 from truenewton.calibration import figures
+from truenewton.cli import segments
 from truenewton.cli.segments import numbered_path
 from truenewton.records.file import write_campaign
 
@@ -89,6 +91,33 @@ def test_each_segment_has_its_calibration_and_its_report(folder, inside, tmp_pat
     assert inside("figures", folder, "-q", "-o", tmp_path / "f")[1].splitlines() == [
         f"written: {tmp_path / f'f-{number}'}" for number in (1, 2, 3)
     ]
+
+
+def test_an_output_of_all_segments_may_exist_if_that_of_each_does_not(folder, inside, tmp_path):
+    alpha = tmp_path / "alpha.fits"
+    assert inside("calibrate", folder, "-q", "--segment", 2, "-o", alpha)[0] == 0
+    assert inside("calibrate", folder, "-q", "--segment", 2, "-o", alpha)[0] == 2
+    written = "".join(f"written: {tmp_path / f'alpha-{k}.fits'}\n" for k in (1, 2, 3))
+    assert inside("calibrate", folder, "-q", "-o", alpha) == (0, written, "")
+    code, _, wrong = inside("calibrate", folder, "-q", "-o", alpha)
+    assert (code, wrong.count("exists already")) == (2, 3)
+
+
+@pytest.mark.parametrize("words", [
+    ("report", "page.html"), ("figures", "figures"), ("modes", "modes.fits"),
+    ("track", "law.fits"), ("recalibrate", "new.fits", "--known", "law.fits", "--actuators", "201"),
+    ("compare", "change.fits"),
+])  # fmt: skip
+def test_segments_are_taken_in_turn_though_the_output_of_all_exists(
+    words, folder, inside, tmp_path, monkeypatch
+):
+    (tmp_path / words[1]).touch()
+    command, output, *options = words
+    in_turn = mock.Mock(return_value=0)
+    monkeypatch.setattr(segments, "_in_turn", in_turn)
+    data = (folder, folder) if command == "compare" else (folder,)
+    assert inside(command, *data, "-o", tmp_path / output, *options) == (0, "", "")
+    assert in_turn.called
 
 
 def test_a_segment_that_is_refused_does_not_stop_the_others(spoilt, inside, tmp_path):

@@ -86,10 +86,10 @@ def run_calibrate(
 
     if output is not None:
         suffix_of(output)
-    refuse_existing(output, overwrite=overwrite)
     out = options.ids(exclude, "--exclude")
     with busy("reading"):
         data = read_data(*paths, segment=segment)
+    refuse_existing(output, overwrite=overwrite)
     with about(paths):
         with busy("calibrating", keeping=True) as waiting:
             motion = options.motion_of(mirror, data)
@@ -143,9 +143,9 @@ def run_recalibrate(
     ids = [] if auto else options.ids(actuators, "--actuators")
     if output is not None:
         suffix_of(output)
-    refuse_existing(output, overwrite=overwrite)
     with busy("recalibrating"), about(paths):
         data = read(*paths, segment=segment)
+        refuse_existing(output, overwrite=overwrite)
         new = data.layout.ids_of(ids)
         made = recalibrate(data, known, new, accept_rejected=anyway)
         refuse_unusable(made.calibration, accept_rejected=anyway)
@@ -188,9 +188,9 @@ def run_compare(
     from truenewton.records.file import SUFFIXES
 
     options.require_suffix(output, (*SUFFIXES, ".csv", ".ecsv"), "comparison")
-    refuse_existing(output, figure, overwrite=overwrite)
     with busy("comparing"):
         one, other, *third = (read(path, segment=segment) for path in (old, new, repeat) if path)
+        refuse_existing(output, figure, overwrite=overwrite)
         compared = compare(one, other, repeat=third[0] if third else None)
     with atomic_outputs():
         if output is not None:
@@ -232,9 +232,9 @@ def run_track(
         raise FormatError(
             f"--accuracy is {accuracy:g}", remedy="give a relative error, such as 0.005"
         )
-    refuse_existing(output, figures, overwrite=overwrite)
     with busy("tracking"):
         law = track(*paths, accept_rejected=anyway, segment=segment)
+        refuse_existing(output, figures, overwrite=overwrite)
         shown, numbers = lines(law, accuracy), values(law, accuracy)
     drawn: list[Path] = []
     with atomic_outputs():

@@ -68,15 +68,15 @@ def run_report(
     from truenewton.report.verdict import headline_of
 
     options.require_suffix(output, (".html", ".htm"), "page")
-    refuse_existing(output, overwrite=overwrite)
     findings: Reported
     with busy("investigating"), about(paths):
         pair = read_compared(*paths, segment=segment)
-        if pair:
+        data = None if pair else read(*paths, segment=segment)
+        refuse_existing(output, overwrite=overwrite)
+        if data is None:
             edges = options.edges_of(mirror, pair[0].layout)
             findings = compare(*pair)
         else:
-            data = read(*paths, segment=segment)
             edges = options.edges_of(mirror, data.layout)
             motion = options.motion_of(mirror, data)
             made = None if calibration is None else read_calibration(calibration)
@@ -107,9 +107,9 @@ def run_figures(
     from truenewton.report.figures import still_figures
     from truenewton.report.findings import investigate, require_calibration
 
-    refuse_existing(output, overwrite=overwrite)
     with busy("drawing"), about(paths):
         data = read(*paths, segment=segment)
+        refuse_existing(output, overwrite=overwrite)
         findings = investigate(data)
         made, more = require_calibration(findings), still_figures(findings)
         written = write_figures(made, output, more=more, numbers=numbers, overwrite=overwrite)
@@ -164,9 +164,9 @@ def run_modes(
     options.require_suffix(output, SUFFIXES, "modal basis")
     limits = Budget(power, total_power, force)
     atmosphere = _atmosphere(seeing, outer_scale, diameter, efficiency, limits)
-    refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     with busy("reading"):
         data = read_data(*paths, segment=segment)
+    refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     floating = data.layout.ids_of(options.ids(off, "--off"))
     follows = data.layout.ids_of(options.ids(slaved, "--slaved"))
     written: list[Path] = []
