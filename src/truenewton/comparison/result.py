@@ -19,7 +19,6 @@ from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding, Verdict, judged
 from truenewton.figures.layers import Layer
 from truenewton.figures.style import on_screen
-from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat, quantities
 from truenewton.records.file import ID, INSTRUMENT, NZ, SUFFIXES, X, Y
@@ -233,19 +232,6 @@ COMPARISON = FileFormat(
 )
 
 
-def comparison_from(file: FitsFile) -> Comparison:
-    """Return the comparison in an open file."""
-    values = file.values(COMPARISON)
-    values["layout"]["enabled"] = file.enabled(values["alpha_ratio"], "compare again")
-    rows = values.pop("matching", {"rows": {}})["rows"]
-    values["matching"] = Matching.of(zip(*rows.values(), strict=True))
-    couplings = values.get("couplings", {}).values()
-    values["couplings"] = tuple(
-        (int(i), int(j), float(size)) for i, j, size in zip(*couplings, strict=True)
-    )
-    return file.filled(Comparison, values)
-
-
 FORMATS[Comparison] = COMPARISON
 
 
@@ -267,7 +253,16 @@ def read_comparison(path: str | os.PathLike[str]) -> Comparison:
     >>> tn.read_comparison("change.fits")
     <Comparison of P45: 45 actuators, 0 changed>
     """
-    return comparison_from(read_fits(path))
+    file = read_fits(path)
+    values = file.values(COMPARISON)
+    values["layout"]["enabled"] = file.enabled(values["alpha_ratio"], "compare again")
+    rows = values.pop("matching", {"rows": {}})["rows"]
+    values["matching"] = Matching.of(zip(*rows.values(), strict=True))
+    couplings = values.get("couplings", {}).values()
+    values["couplings"] = tuple(
+        (int(i), int(j), float(size)) for i, j, size in zip(*couplings, strict=True)
+    )
+    return file.filled(Comparison, values)
 
 
 @write.register(Comparison)

@@ -242,13 +242,9 @@ def _displacement(rows: Rows, campaign: Campaign) -> Array | None:
     return rows.means(displaced, len(rows.reference))
 
 
-def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
-    """Return the moments of all valid rows of a campaign or a part of it.
-
-    ``reference`` is the (n,) zero of displacements [m]: for a part, the `common_reference` of the
-    campaign. If it is NaN, a part must contain whole cycles.
-    """
-    return moments_of(rows_of(campaign, reference), step_of(prints_of(campaign)))[0]
+def campaign_moments(campaign: Campaign) -> Moments:
+    """Return the moments of all valid rows of a campaign."""
+    return moments_of(rows_of(campaign), step_of(prints_of(campaign)))[0]
 
 
 def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
