@@ -15,10 +15,10 @@ from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.sensor_model import displaced_readings
-from truenewton.mirrors.shell.dynamics import moving_mass
 from truenewton.mirrors.shell.shell_model import (
     forces_under,
     model_shell,
+    moving_mass,
     static_shapes,
     tool_wedges,
     weight_on,
