@@ -11,7 +11,7 @@ import typer
 from truenewton.cli import options
 from truenewton.cli.terminal import about, busy, print_result
 from truenewton.errors import FormatError
-from truenewton.files.outputs import atomic_outputs, refuse_existing
+from truenewton.files.outputs import refuse_existing
 
 
 def run_info(
@@ -192,11 +192,10 @@ def run_compare(
     with busy("comparing"):
         one, other, *third = (read(path, segment=segment) for path in (old, new, repeat) if path)
         compared = compare(one, other, repeat=third[0] if third else None)
-    with atomic_outputs():
-        if output is not None:
-            compared.write(output, overwrite=overwrite)
-        if figure is not None:
-            write_figure(compared.plot(), figure, overwrite=overwrite)
+    if output is not None:
+        compared.write(output, overwrite=overwrite)
+    if figure is not None:
+        write_figure(compared.plot(), figure, overwrite=overwrite)
     written = (output, figure) if figure else (output,)
     print_result(
         lines(compared), *written, values=values(compared), schema="compare",
@@ -237,11 +236,10 @@ def run_track(
         law = track(*paths, accept_rejected=anyway, segment=segment)
         shown, numbers = lines(law, accuracy), values(law, accuracy)
     drawn: list[Path] = []
-    with atomic_outputs():
-        if output is not None:
-            law.write(output, overwrite=overwrite)
-        if figures is not None:
-            drawn = write_drawn(tracking_figures(law), figures, overwrite=overwrite)
+    if output is not None:
+        law.write(output, overwrite=overwrite)
+    if figures is not None:
+        drawn = write_drawn(tracking_figures(law), figures, overwrite=overwrite)
     written = drawn if quiet or not figures else [figures]
     print_result(
         shown, output, *written, details=table_of(law), values=numbers,

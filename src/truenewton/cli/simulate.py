@@ -13,7 +13,7 @@ import typer
 
 from truenewton.cli import options
 from truenewton.cli.terminal import busy, print_result, say, tell
-from truenewton.files.outputs import atomic_outputs, folder_beside, refuse_existing
+from truenewton.files.outputs import folder_beside, refuse_existing
 from truenewton.progress import with_progress
 from truenewton.rounding import counted, table_lines
 
@@ -104,7 +104,7 @@ def run_simulate(
     refuse_existing(output, sealed, overwrite=overwrite)
     if fidelity not in FIDELITIES:
         raise typer.BadParameter(f"there is no fidelity '{fidelity}': static or loop")
-    with busy("simulating"), atomic_outputs():
+    with busy("simulating"):
         bench = bench_of(
             whole_mirror_from(mirror), seed, force_noise=noise, temperature=temperature
         )

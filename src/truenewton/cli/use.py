@@ -13,7 +13,7 @@ import typer
 
 from truenewton.cli import options
 from truenewton.cli.terminal import about, busy, print_result
-from truenewton.files.outputs import atomic_outputs, refuse_existing
+from truenewton.files.outputs import refuse_existing
 from truenewton.rounding import row
 
 if TYPE_CHECKING:
@@ -180,12 +180,11 @@ def run_modes(
             efficiency=efficiency, motion=motion, model=options.model_of(mirror, data),
             off=floating, slaved=follows,
         )  # fmt: skip
-        with atomic_outputs():
-            if output is not None:
-                within = limits if diameter else None
-                written += write_modes(found, output, within, overwrite=overwrite)
-            if figures is not None:
-                written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
+        if output is not None:
+            within = limits if diameter else None
+            written += write_modes(found, output, within, overwrite=overwrite)
+        if figures is not None:
+            written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
     shown = list(lines(found, limits))
     if output is not None and not quiet:
         shown.append(ALSO_WRITTEN)
