@@ -132,9 +132,10 @@ def run_prove(
 
     Exit code 1 if a system does not have full rank or its error exceeds 20 eps cond.
     """
+    from truenewton.files.fits import SUFFIXES
     from truenewton.mirrors.file import mirror_from
     from truenewton.mirrors.known import p45
-    from truenewton.records.file import SUFFIXES, read_layout
+    from truenewton.records.file import read_layout
     from truenewton.studies.proof import proof_rows, proof_values, proof_verdict, prove
 
     if mirror.endswith(SUFFIXES) and Path(mirror).exists():  # P45's numbers on another layout

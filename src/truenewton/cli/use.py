@@ -153,13 +153,13 @@ def run_modes(
     """Find stiffness modes, and how many can be corrected within limits of power or force."""
     from truenewton.calibration.verdict import refuse_unusable
     from truenewton.figures.writing import write_drawn
+    from truenewton.files.fits import SUFFIXES
     from truenewton.modal.figures import modes_figures
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modal_base import Budget
     from truenewton.modal.summary import detail_lines, lines, values
     from truenewton.reading import read_calibration, read_data
-    from truenewton.records.file import SUFFIXES
 
     options.require_suffix(output, SUFFIXES, "modal basis")
     limits = Budget(power, total_power, force)

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.comparison.calibrations import Change, write_table
+from truenewton.comparison.calibrations import TABLES, Change
 from truenewton.comparison.fit import RowNoise
 from truenewton.comparison.pairing import Matching
 from truenewton.estimation.findings.code import Code
@@ -22,8 +22,8 @@ from truenewton.figures.style import on_screen
 from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat, quantities
-from truenewton.records.file import ID, INSTRUMENT, NZ, SUFFIXES, X, Y
-from truenewton.records.result import FORMATS, Result, write
+from truenewton.records.file import ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.result import FORMATS, OTHER_FORMATS, Result
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import OTHER_UNIT
 
@@ -246,7 +246,7 @@ def comparison_from(file: FitsFile) -> Comparison:
     return file.filled(Comparison, values)
 
 
-FORMATS[Comparison] = COMPARISON
+FORMATS[Comparison], OTHER_FORMATS[Comparison] = COMPARISON, TABLES
 
 
 def read_comparison(path: str | os.PathLike[str]) -> Comparison:
@@ -268,12 +268,3 @@ def read_comparison(path: str | os.PathLike[str]) -> Comparison:
     <Comparison of P45: 45 actuators, 0 changed>
     """
     return comparison_from(read_fits(path))
-
-
-@write.register(Comparison)
-def _write(c: Comparison, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a comparison as FITS, or its table as .csv or .ecsv."""
-    if os.fspath(path).lower().endswith(SUFFIXES):
-        write.dispatch(object)(c, path, overwrite=overwrite)
-    else:
-        write_table(c.table, path, overwrite=overwrite)

@@ -11,7 +11,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, naming
-from truenewton.files.fits import read_fits
+from truenewton.files.fits import SUFFIXES, read_fits
 from truenewton.files.format import Column, FileFormat, TableFormat
 from truenewton.files.tables import Item, table_in, text_of
 from truenewton.files.toml import check_keys, filled, read_toml
@@ -27,7 +27,7 @@ from truenewton.mirrors.shell.mesh import (
 from truenewton.mirrors.shell.round_shell import MIN_HOLE
 from truenewton.mirrors.shell.shell_model import tool_wedges
 from truenewton.quantities import check_quantities
-from truenewton.records.file import SUFFIXES, read_layout
+from truenewton.records.file import read_layout
 from truenewton.records.tables import layout_of, positions_from
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
