@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from truenewton.errors import FormatError
 from truenewton.files.tables import table_in, text_of
 from truenewton.importers.selection import Surface, in_metres, read_positions
 from truenewton.mirrors.file import layout_in
@@ -38,3 +39,17 @@ def test_a_cell_that_is_missing_in_ecsv_is_not_a_number(tmp_path):
     assert (x.unit, x.values[0], np.isnan(x.values[1])) == ("mm", -50.0, True)
     with pytest.raises(ValueError, match=r"a\.ecsv: X of actuator 8 is not finite"):
         layout_in(path)
+
+
+def test_damaged_ecsv_of_a_mirror_is_refused(tmp_path):
+    path = tmp_path / "a.ecsv"
+    path.write_text("# %ECSV 1.0\n# ---\nX Y\n1 2\n")
+    with pytest.raises(FormatError, match=r"a\.ecsv: is not ECSV \("):
+        layout_in(path)
+
+
+def test_a_number_too_large_for_an_id_is_refused(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("1 -50 0\n2 50 0\n999999999999999999999 0 50\n")
+    with pytest.raises(FormatError, match="the first no numbers of actuators"):
+        read_positions(path)

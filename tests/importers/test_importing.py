@@ -514,7 +514,7 @@ def test_polar_coordinates_are_no_x_and_y(tmp_path):
         ("a.csv", b"a,b,c\n", "contains a header and no numbers"),
         ("a.txt", b"# nothing\n", "contains no numbers"),
         ("a.txt", b"double 3 3\n1 2 3 4\n", "contains 4 numbers; give 3 x 3 numbers"),
-        ("a.ecsv", b"# %ECSV 1.0\n# ---\nX Y\n1 2\n", "cannot be read"),
+        ("a.ecsv", b"# %ECSV 1.0\n# ---\nX Y\n1 2\n", "is not ECSV ("),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path, name, content, said):

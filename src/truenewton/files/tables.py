@@ -171,8 +171,12 @@ def table_in(text: str) -> TextTable:
 def _ecsv(text: str) -> TextTable:
     from astropy.table import Table
 
-    with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):  # of overflows
-        table = Table.read(text.splitlines(), format="ascii.ecsv")
+    try:
+        with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):  # of overflows
+            table = Table.read(text.splitlines(), format="ascii.ecsv")
+    except Exception as error:  # astropy raises nearly anything for a damaged file
+        told = " ".join(str(error).split())[:80]
+        raise FormatError(f"is not ECSV ({told})", remedy="write it again, or give CSV") from error
     held = {c.name: np.asarray(c) if c.dtype.kind == "U" else plain(c) for c in table.itercols()}
     units = {c.name: str(c.unit or "") for c in table.itercols()}
     return TextTable(None, {k: Item(v, units[k]) for k, v in held.items() if v is not None})

@@ -148,7 +148,8 @@ def _axis_and_unit(name: str) -> tuple[str, str]:
 
 
 def _integers(values: Any) -> bool:
-    return bool(np.isfinite(values).all() and (values == np.round(values)).all())
+    exact = np.abs(values) < 2.0**53  # as all integers below it; not NaN or inf
+    return bool(exact.all() and (values == np.round(values)).all())
 
 
 def positions_from(given: Any, unit: str = "") -> Positions:
