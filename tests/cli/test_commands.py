@@ -227,6 +227,11 @@ def test_json_is_as_its_schema_declares(inside, folder, inputs, tmp_path, words)
     assert checked(out)["schema"] == f"truenewton.{known.get(words, given[0])}/2"
 
 
+def test_json_of_modes_of_a_large_mirror_is_as_its_schema_declares(inside, folder, monkeypatch):
+    monkeypatch.setattr("truenewton.modal.findings.MAX_COMPARED", 0)
+    assert checked(inside("modes", folder, "--json")[1])["uncalibrated_modes"] is None
+
+
 def test_the_schema_declares_every_command_with_json(inside):
     schema = truenewton.json_schema()
     commands = {name for name in EXAMPLES if "--json" in inside(name, "--help")[1]}

@@ -210,7 +210,7 @@ def test_names_of_columns_are_shown_as_they_are_in_the_file(tmp_path, inside):
     (tmp_path / "bare-1.csv").write_text("shape,sign,Kraft1\n1,1,two\n")
     text = path.read_text().replace('"Kraft{id}"', '"Kraft1"')
     path.write_text(text.replace("# actuator = ", "actuator = ").replace('"actuator"', '"sign"'))
-    assert "column Kraft1 contains 'two'; give numbers in it" in inside("import", path)[2]
+    assert "line 2: Kraft1 is 'two'; give a number" in inside("import", path)[2]
 
 
 def test_a_file_without_names_of_columns_is_told_so(tmp_path, inside):

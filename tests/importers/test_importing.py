@@ -295,6 +295,17 @@ def test_positions_of_all_channels_may_come_ring_by_ring(tmp_path, order):
     assert ("in the order of act2mir_act.txt" in text(made)) == (order == "rings")
 
 
+@pytest.mark.parametrize(
+    "given",
+    [(1e3 * XY[0] * u.mm, XY[1]), {"X [mm]": 1e3 * XY[0], "Y [mm]": 1e3 * XY[1]}],
+    ids=["pair", "columns"],
+)
+def test_positions_may_be_a_pair_or_columns_with_units(given):
+    made = tn.stiffness_from(CASE.k, given).matrix.layout
+    expected = tn.stiffness_from(CASE.k, XY * u.m).matrix.layout
+    np.testing.assert_allclose([made.x, made.y], [expected.x, expected.y], rtol=1e-12)
+
+
 def test_one_sensor_without_numbers_is_left_out():
     k, bad = CASE.k.copy(), int(np.flatnonzero(~CASE.off)[20])
     k[[3, 9], bad] = np.nan
@@ -503,7 +514,7 @@ def test_polar_coordinates_are_no_x_and_y(tmp_path):
         ("a.csv", b"a,b,c\n", "contains a header and no numbers"),
         ("a.txt", b"# nothing\n", "contains no numbers"),
         ("a.txt", b"double 3 3\n1 2 3 4\n", "contains 4 numbers; give 3 x 3 numbers"),
-        ("a.ecsv", b"# %ECSV 1.0\n# ---\nX Y\n1 2\n", "is ECSV; give CSV, with units in"),
+        ("a.ecsv", b"# %ECSV 1.0\n# ---\nX Y\n1 2\n", "is not ECSV ("),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path, name, content, said):

@@ -217,7 +217,7 @@ def test_points_of_an_outline_from_a_table(corner):
          "edge.csv: the edge crosses itself at x = 0 m, y = -0.025"),
         ("X,Y\n0,0\n100,0\n0,100\n", "the outline has a point at 100 m; x and y are"),
         ("X,Y,LOOP\n0,0,1\n", "LOOP contains 1; number the points of the edge 0"),
-        ("X,Y,LOOP\n0,0,a\n", "line 2: LOOP is 'a'; give an integer"),
+        ("X,Y,LOOP\n0,0,a\n", "line 2: LOOP is 'a'; give a number"),
         ("X,Y\n" + "".join(f"{np.cos(k)},{np.sin(k)}\n" for k in np.arange(2001) * 3e-3),
          "an outline of 2001 vertices; thin it to 2000"),
     ],

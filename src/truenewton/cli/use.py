@@ -13,7 +13,7 @@ import typer
 
 from truenewton.cli import options
 from truenewton.cli.terminal import about, busy, print_result
-from truenewton.files.outputs import atomic_outputs, refuse_existing
+from truenewton.files.outputs import refuse_existing
 from truenewton.rounding import row
 
 if TYPE_CHECKING:
@@ -153,13 +153,13 @@ def run_modes(
     """Find stiffness modes, and how many can be corrected within limits of power or force."""
     from truenewton.calibration.verdict import refuse_unusable
     from truenewton.figures.writing import write_drawn
+    from truenewton.files.fits import SUFFIXES
     from truenewton.modal.figures import modes_figures
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modal_base import Budget
     from truenewton.modal.summary import detail_lines, lines, values
     from truenewton.reading import read_calibration, read_data
-    from truenewton.records.file import SUFFIXES
 
     options.require_suffix(output, SUFFIXES, "modal basis")
     limits = Budget(power, total_power, force)
@@ -180,12 +180,11 @@ def run_modes(
             efficiency=efficiency, motion=motion, model=options.model_of(mirror, data),
             off=floating, slaved=follows,
         )  # fmt: skip
-        with atomic_outputs():
-            if output is not None:
-                within = limits if diameter else None
-                written += write_modes(found, output, within, overwrite=overwrite)
-            if figures is not None:
-                written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
+        if output is not None:
+            within = limits if diameter else None
+            written += write_modes(found, output, within, overwrite=overwrite)
+        if figures is not None:
+            written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
     shown = list(lines(found, limits))
     if output is not None and not quiet:
         shown.append(ALSO_WRITTEN)

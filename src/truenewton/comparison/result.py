@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.comparison.calibrations import Change, write_table
+from truenewton.comparison.calibrations import TABLES, Change
 from truenewton.comparison.fit import RowNoise
 from truenewton.comparison.pairing import Matching
 from truenewton.estimation.findings.code import Code
@@ -21,8 +21,8 @@ from truenewton.figures.layers import Layer
 from truenewton.figures.style import on_screen
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat, quantities
-from truenewton.records.file import ID, INSTRUMENT, NZ, SUFFIXES, X, Y
-from truenewton.records.result import FORMATS, Result, write
+from truenewton.records.file import ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.result import FORMATS, OTHER_FORMATS, Result
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import OTHER_UNIT
 
@@ -232,7 +232,7 @@ COMPARISON = FileFormat(
 )
 
 
-FORMATS[Comparison] = COMPARISON
+FORMATS[Comparison], OTHER_FORMATS[Comparison] = COMPARISON, TABLES
 
 
 def read_comparison(path: str | os.PathLike[str]) -> Comparison:
@@ -263,12 +263,3 @@ def read_comparison(path: str | os.PathLike[str]) -> Comparison:
         (int(i), int(j), float(size)) for i, j, size in zip(*couplings, strict=True)
     )
     return file.filled(Comparison, values)
-
-
-@write.register(Comparison)
-def _write(c: Comparison, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a comparison as FITS, or its table as .csv or .ecsv."""
-    if os.fspath(path).lower().endswith(SUFFIXES):
-        write.dispatch(object)(c, path, overwrite=overwrite)
-    else:
-        write_table(c.table, path, overwrite=overwrite)
