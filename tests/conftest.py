@@ -11,6 +11,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 import numpy as np
 import pytest
 import scipy.linalg
+from hypothesis import settings
 
 from helpers.balanced import p45_campaign
 from truenewton.bench.simulated.static import run_cycles, static_bench
@@ -23,6 +24,8 @@ from truenewton.records.file import write_campaign
 from truenewton.report.findings import investigate
 from truenewton.statics.layout import Layout, rings
 from truenewton.statics.load import Load
+
+settings.register_profile("thorough", max_examples=20_000)
 
 
 class Tiny(NamedTuple):

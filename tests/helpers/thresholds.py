@@ -3,7 +3,7 @@
     python -m helpers.thresholds [WORD...]     (make thresholds CASES="WORD ...")
 
 Runs tests/<package>/test_thresholds.py with each constant whose path or name contains a word (all
-without words), in a copy of the source. Prints constants that survive, and exits with code 1 for any.
+without words), in a copy of the source. Prints constants that survive; exits with code 1 for any.
 """
 
 import argparse
