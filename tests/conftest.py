@@ -93,21 +93,37 @@ def p45_findings():
     return investigate(p45_campaign(2), diameter=2.13, efficiency=0.51)
 
 
-@pytest.fixture
-def inside(capsys, monkeypatch):
-    """Return a function that runs the command line in process: exit code, stdout, stderr.
+class Inside:
+    """The command line in process; lines are not wrapped, so that a test finds its words on one."""
 
-    Lines are not wrapped, so that a test finds its words on one.
-    """
-    monkeypatch.setattr(terminal, "WIDTH", 10_000)
+    def __init__(self, capsys, monkeypatch):
+        self.capsys, self.monkeypatch = capsys, monkeypatch
+        monkeypatch.setattr(terminal, "WIDTH", 10_000)
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, arguments)])
+    def __call__(self, *arguments):
+        """Return exit code, stdout and stderr."""
+        self.monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, arguments)])
         with pytest.raises(SystemExit) as stop:
             main()
-        return stop.value.code, *capsys.readouterr()
+        return stop.value.code, *self.capsys.readouterr()
 
-    return run
+    def prints(self, *arguments):
+        """Return what is printed by a command that succeeds."""
+        code, out, error = self(*arguments)
+        assert (code, error) == (0, "")
+        return out
+
+    def refuses(self, *arguments):
+        """Return the one line of a refusal."""
+        code, out, error = self(*arguments)
+        assert (code, out, error.count("\n")) == (2, "", 1), error
+        assert error.startswith("truenewton: ")
+        return error
+
+
+@pytest.fixture
+def inside(capsys, monkeypatch):
+    return Inside(capsys, monkeypatch)
 
 
 @pytest.fixture(autouse=True)

@@ -76,8 +76,7 @@ def test_every_command_gives_the_same_verdict(inside, tmp_path, made, monkeypatc
     """What check_alike does not ask (tests/cli/test_remedies.py): the file, modes and figures."""
     monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
     folder, alpha = written(tmp_path, made()), tmp_path / "alpha.fits"
-    code, out, _ = inside("calibrate", folder, "-o", alpha, "--json", "--anyway")
-    assert code == 0
+    out = inside.prints("calibrate", folder, "-o", alpha, "--json", "--anyway")
     verdict = json.loads(out)["verdict"]
     for path in (folder, alpha):
         assert json.loads(inside("info", path, "--json")[1])["verdict"] == verdict
@@ -94,14 +93,12 @@ def test_every_command_gives_the_same_verdict(inside, tmp_path, made, monkeypatc
 
 def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp_path):
     folder, alpha = written(tmp_path, copied()), tmp_path / "alpha.fits"
-    code, out, error = inside("calibrate", folder, "-o", alpha)
-    assert (code, out) == (2, "")
+    error = inside.refuses("calibrate", folder, "-o", alpha)
     assert "rejected" in error
     assert "copy of another file" in error
     assert "restore the original of the copy" in error
     assert not alpha.exists()
-    code, out, _ = inside("calibrate", folder, "-o", alpha, "--anyway")
-    assert code == 0
+    inside.prints("calibrate", folder, "-o", alpha, "--anyway")
     assert fits.getval(alpha, "VERDICT") == "rejected"
     good = tmp_path / "good.fits"
     inside("calibrate", written(tmp_path, cycles(), "good"), "-o", good)
@@ -111,13 +108,12 @@ def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp
         ("recalibrate", tmp_path / "good", "--known", alpha, "--actuators", "3",
          "-o", tmp_path / "again.fits"),
     ):  # fmt: skip
-        code, out, error = inside(*command)
-        assert (code, out) == (2, ""), command[0]
+        error = inside.refuses(*command)
         assert "rejected" in error
         assert "alpha.fits" in error or command[0] == "modes"
         assert not command[-1].exists()
     assert inside("modes", folder, "--calibration", alpha, "--anyway")[0] == 0
-    code, out, _ = inside(
+    code, _, _ = inside(
         "recalibrate", tmp_path / "good", "--known", alpha, "--actuators", "3", "--anyway",
         "-o", tmp_path / "again.fits",
     )  # fmt: skip
