@@ -85,21 +85,11 @@ FAULTS = {
     "cubic coils": (
         lambda: bent(3, 0.05), "usable", "cubic coil", "at half of which it is a quarter",
     ),
-    "loads alike": (
-        lambda: campaign_of(
-            5, 1e-3, loads=(Load("bare"), Load("ring", 1e-3 * WEIGHT, 5e-5)), cycles=4
-        )[0].cycles,
-        "usable", "difference between the loads, 0.0029 N of 2.9 N", "More shapes do not help",
-    ),
     "loads as good as the same": (
         lambda: campaign_of(5, 1e-3, loads=(Load("bare"), Load("ring", 1e-4 * WEIGHT, 5e-5)))[
             0
         ].cycles,
         None, "difference between the loads, 0.00029 N", "use a load that differs",
-    ),
-    "E_ADDED is 0": (
-        lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
-        "usable", "without plausible errors (E_ADDED of 'ring' is 0)", "E_WEIGHT",
     ),
     "E_ADDED of 1 ug": (
         lambda: [replace(c, load=replace(c.load, added_error=1e-8)) for c in p45()],
@@ -108,14 +98,6 @@ FAULTS = {
     "E_TILT is 0": (
         lambda: tilted().cycles,
         "usable", "without plausible errors (E_TILT of 'tilted' is 0)", "E_TILT in degrees",
-    ),
-    "WEIGHT ten times too large": (
-        lambda: p45(weight=-29.2),
-        "doubtful", "WEIGHT is -29.2 N, 0.65 N for each actuator", "check WEIGHT and its unit",
-    ),
-    "WEIGHT ten times too small": (
-        lambda: p45(weight=-0.292),
-        "doubtful", "WEIGHT is -0.292 N, several times less", "check WEIGHT and its unit",
     ),
 }  # fmt: skip
 
