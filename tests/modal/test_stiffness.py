@@ -548,16 +548,6 @@ def test_two_modes_turned_into_each_other(angle):
     assert np.sin(found.distance) == pytest.approx(mean, rel=1e-9)
 
 
-@pytest.mark.parametrize("degrees", [1e-6, 9.9, 65.7, 90.0])
-def test_a_span_turned_as_a_whole_is_turned_by_that_angle(degrees):
-    """Each of five modes is turned towards a direction of its own: all angles are the same."""
-    angle, modes = np.radians(degrees), np.eye(10)[:, :5]
-    found = compare_modes(modes, np.cos(angle) * modes + np.sin(angle) * np.eye(10)[:, 5:])
-    assert found.rms_angle == pytest.approx(np.full(5, angle), rel=1e-9)
-    assert found.largest_angle == pytest.approx(np.full(5, angle), rel=1e-9)
-    assert found.distance == pytest.approx(angle, rel=1e-9)
-
-
 def test_a_pair_turned_within_itself_is_no_difference():
     values = np.array([1.0, 2.0, 3.0, 3.001, 4.0])
     found = compare_modes(turned(5, 2, 3, 0.8), np.eye(5), values)

@@ -11,7 +11,7 @@ from astropy.table import QTable
 from helpers.balanced import START, p45_bench, p45_matrix
 from studies.matrices import without_polynomial
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import RankDeficient, TrueNewtonWarning
+from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.modes import (
@@ -92,19 +92,6 @@ def test_a_matrix_of_low_rank_or_of_noise_is_refused():
     noise = 1e6 * np.random.default_rng(1).standard_normal((45, 45))
     with pytest.raises(RankDeficient):
         calibrate(replace(matrix, stiffness=noise))
-
-
-def test_a_transposed_matrix_is_rejected():
-    """Its alpha is that of the sensors: wrong by 10 %, with a stated error of 0.05 %."""
-    matrix, _ = p45_matrix(0.0)
-    assert screen_matrix(matrix).effects == ()
-    turned = replace(matrix, stiffness=matrix.stiffness.T)
-    [effect] = screen_matrix(turned).effects
-    assert effect.code == Code.TRANSPOSED_STIFFNESS
-    assert "[i, j], the force of actuator i per displacement of sensor j" in effect.remedy
-    with pytest.warns(TrueNewtonWarning, match="transposed stiffness"):
-        made = calibrate(turned, "svd")
-    assert made.verdict.level == "rejected"
 
 
 def test_a_rigid_body_residual_that_gains_explain_is_only_a_warning():
