@@ -10,9 +10,8 @@ import pytest
 from astropy.io import fits
 
 import truenewton as tn
-from helpers.balanced import p45_bench
+from helpers.balanced import p45_bench, p45_matrix
 from helpers.changed import p45_cycles
-from truenewton.bench.simulated.static import START
 from truenewton.calibration import figures
 from truenewton.calibration.verdict import Level, verdict_on
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
@@ -28,7 +27,6 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
-from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 
 def cycles(noise=1e-3, count=2):
@@ -244,27 +242,20 @@ def test_files_that_are_not_what_they_say_are_rejected(made, rejected):
         assert "copies among the files" in verdict.faults[0].remedy
 
 
-def stiffness(change=lambda k: k, seed=1):
-    """Return the commanded stiffness of P45 with 0.01 % of noise, changed."""
-    truth = p45_bench().truth
-    k = truth.stiffness / truth.alpha[:, None]
-    k = k * (1 + 1e-4 * np.random.default_rng(seed).standard_normal(k.shape))
-    return StiffnessMatrix("P45", START, truth.layout, change(k))
-
-
 @pytest.mark.study
 def test_a_stiffness_of_the_other_sign_is_said_and_gives_no_modes():
-    other = stiffness(np.negative)
+    matrix = p45_matrix()[0]
+    other = replace(matrix, stiffness=-matrix.stiffness)
     verdict = tn.calibrate(other).verdict
     assert verdict.level == Level.USABLE
     assert "stiffness of the other sign" in verdict.faults[0].fault
     with pytest.raises(NotToBeUsed, match="42 of 42 elastic modes are negative; reverse the sign"):
         tn.find_modes(other)
-    assert tn.find_modes(stiffness()).after.modes.stiffness[3:].min() > 0
+    assert tn.find_modes(matrix).after.modes.stiffness[3:].min() > 0
 
 
 def test_a_calibration_of_a_stiffness_keeps_its_verdict(tmp_path, inside):
-    made = tn.calibrate(stiffness())
+    made = tn.calibrate(p45_matrix()[0])
     made.write(tmp_path / "alpha.fits")
     back = tn.read(tmp_path / "alpha.fits")
     assert back.imbalances == made.imbalances != ()

@@ -14,7 +14,7 @@ import pytest
 from astropy.io import fits
 
 import truenewton
-from helpers.balanced import p45_bench
+from helpers.balanced import p45_matrix
 from helpers.json_output import checked
 from truenewton.cli import terminal
 from truenewton.cli.main import EXAMPLES, GROUPS, app
@@ -369,20 +369,7 @@ def run_page(page, inside):
 def test_every_command_and_example_in_the_readme_runs(tmp_path, monkeypatch, inside):
     """In order, in one folder, as a reader would; `make` and installing are tried elsewhere."""
     monkeypatch.chdir(tmp_path)
-    write_feedforward(tmp_path / "feedforward.fits")
+    truenewton.write_stiffness(p45_matrix(0.0)[0], tmp_path / "feedforward.fits")
     assert run_page(README, inside) == 4
     assert sum(run_page(page, inside) for page in sorted((ROOT / "docs").glob("*.md"))) >= 4
     assert run_page(ROOT / "CONTRIBUTING.md", inside) == 3
-
-
-def write_feedforward(path):
-    """Write what a working mirror has on disk: here from the simulated P45."""
-    from truenewton.bench.simulated.static import START
-
-    truth = p45_bench().truth
-    truenewton.write_stiffness(
-        truenewton.StiffnessMatrix(
-            "P45", START, truth.layout, truth.stiffness / truth.alpha[:, None]
-        ),
-        path,
-    )

@@ -8,7 +8,7 @@ import pytest
 from astropy.io import fits
 
 import truenewton as tn
-from helpers.balanced import p45_bench
+from helpers.balanced import p45_bench, p45_matrix
 from helpers.changed import p45, said, with_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient, TooManyOutliers
@@ -216,18 +216,12 @@ def paths(p45_folder, tmp_path_factory):
     tn.calibrate(tn.read(p45_folder)).write(kinds["calibration"])
     kinds["no TOML"].write_text("a = [1\n")
     kinds["plan"].write_text("cycles = 2\n")
-    truth = p45_bench().truth
-    matrix = tn.StiffnessMatrix("P45", truth_date(), truth.layout, truth.stiffness)
-    tn.write_stiffness(matrix, kinds["stiffness"])
+    tn.write_stiffness(p45_matrix()[0], kinds["stiffness"])
     return kinds | {
         "campaign": p45_folder,
         "cycle": p45_folder / "bare-001.fits",
         "below a file": kinds["text"] / "x.fits",
     }
-
-
-def truth_date():
-    return datetime.datetime(2026, 11, 22, tzinfo=datetime.UTC)
 
 
 # What a command takes in the place of PATH, beside what the fixture has not.
