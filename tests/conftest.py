@@ -3,6 +3,7 @@
 import datetime
 import os
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 # Of small matrices threads make everything slower, and workers share the cores already.
@@ -19,6 +20,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.cli import terminal
 from truenewton.cli.main import main
 from truenewton.mirrors.known import p45
+from truenewton.reading import read
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import write_campaign
 from truenewton.report.findings import investigate
@@ -85,6 +87,19 @@ def p45_folder(tmp_path_factory):
 def p45_calibration():
     """P45 in four cycles at 1 mN (helpers.balanced.p45_campaign), calibrated; never changed."""
     return calibrate(p45_campaign())
+
+
+@pytest.fixture(scope="session")
+def lbt672_folder():
+    """The folder of the only measured mirror, which is not part of the repository."""
+    if "TRUENEWTON_REAL_DATA" not in os.environ:
+        pytest.skip("TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set")
+    return Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672"
+
+
+@pytest.fixture(scope="session")
+def real_matrix(lbt672_folder):
+    return read(lbt672_folder / "lbt672-feedforward.fits")
 
 
 @pytest.fixture(scope="session")

@@ -166,17 +166,13 @@ def test_the_supervisors_order_of_rings():
         supervisor_order(tn.mirrors.mmt336().layout)
 
 
-@pytest.mark.skipif("TRUENEWTON_REAL_DATA" not in __import__("os").environ, reason="no real data")
-def test_the_supervisors_order_is_that_of_a_real_mirror():
+def test_the_supervisors_order_is_that_of_a_real_mirror(real_matrix):
     """Channels 0 and 1 are numbers 504 and 505 of the rings, by the supervisor's table."""
-    from pathlib import Path
-
-    matrix = tn.read(Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672/lbt672-feedforward.fits")
     mirror = tn.mirrors.lbt672().layout
     order = supervisor_order(mirror)[[504, 505, 506, 507, 585]]
-    real = [int(np.flatnonzero(matrix.layout.id == i)[0]) for i in (0, 1, 2, 3, 4)]
-    np.testing.assert_allclose(mirror.x[order], matrix.layout.x[real], atol=1e-4)
-    np.testing.assert_allclose(mirror.y[order], matrix.layout.y[real], atol=1e-4)
+    real = [int(np.flatnonzero(real_matrix.layout.id == i)[0]) for i in (0, 1, 2, 3, 4)]
+    np.testing.assert_allclose(mirror.x[order], real_matrix.layout.x[real], atol=1e-4)
+    np.testing.assert_allclose(mirror.y[order], real_matrix.layout.y[real], atol=1e-4)
 
 
 def test_the_matrix_is_looked_for_down_the_tree(tmp_path):
