@@ -319,17 +319,6 @@ def test_a_pipe_is_no_file_of_positions(tmp_path):
         tn.stiffness_from(CASE.k, path)
 
 
-def test_a_mat_file_of_version_73_has_its_axes_reversed(tmp_path):
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "k.mat", "w", userblock_size=512) as file:
-        file["k"] = CASE.k.T
-        file["k"].attrs["MATLAB_class"] = np.bytes_("double")
-    raw = (tmp_path / "k.mat").read_bytes()
-    (tmp_path / "k.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(128) + raw[128:])
-    made = tn.stiffness_from(tmp_path / "k.mat", CASE.layout)
-    np.testing.assert_array_equal(made.matrix.stiffness, -CASE.k)
-
-
 def test_names_choose_positions_of_more_actuators(tmp_path):
     rows = np.random.default_rng(2).permutation(N)[:40]
     k = -CASE.k[np.ix_(rows, rows)]
