@@ -28,6 +28,8 @@ from truenewton.statics.layout import Layout, rings
 from truenewton.statics.load import Load
 
 settings.register_profile("thorough", max_examples=20_000)
+settings.register_profile("usual", max_examples=250)
+settings.load_profile("usual")
 
 
 class Tiny(NamedTuple):

@@ -73,6 +73,10 @@ def one_file_everywhere():
     return [replace(c, force=first.force, position=first.position) for c in quiet()[2:6]]
 
 
+def dated(cycle):
+    return replace(cycle, date=cycle.date.replace(year=2062))
+
+
 def weights(factor):
     return changed(lambda c: replace(load(c, added=factor * c.load.added),
                                      weight=factor * c.weight))  # fmt: skip
@@ -123,6 +127,10 @@ FAULTS = {
     ),
     "one file everywhere": (
         one_file_everywhere, REFUSED + NOT, "copy of another file", "restore the original",
+    ),
+    "a date of next century": (
+        changed(dated, ONE), ("usable", "doubtful"),
+        "DATE-OBS of ring 3 is 13149 days from that of the other", "correct DATE-OBS",
     ),
 }  # fmt: skip
 

@@ -115,6 +115,16 @@ def test_a_drift_is_no_noise_in_proportion_to_the_force():
     assert [str(each.code) for each in found] == ["gain-by-hour"]
 
 
+def test_an_actuator_that_reads_noise_alone_is_refused_as_dead():
+    random = np.random.default_rng(1)
+
+    def silent(_, force):
+        force[:, 16] = 1e-3 * random.standard_normal(len(force))
+        return force
+
+    check(with_forces(p45(1e-3, 4), silent), "dead", "actuator 17")
+
+
 def test_exchanged_cables_make_the_result_doubtful_without_position():
     order = np.arange(45)
     order[[2, 40]] = 40, 2

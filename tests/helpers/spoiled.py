@@ -6,6 +6,7 @@ import numpy as np
 from astropy.io import fits
 
 CARD = 80
+LAYOUT = re.compile(rb"NAXIS|TFIELDS|TFORM|PCOUNT|BITPIX|GCOUNT|TTYPE")
 NUMBERS = (
     *("nan", "inf", "-inf", "0.0", "-1.0", "1e308", "1e-320", "1e155", "-1e30", "1e-15", "1e400"),
     *("1e6", "89.9999999", "0", "1", "-1", "7", "65536", "2147483647", "9" * 40),
@@ -26,7 +27,8 @@ def fits_cards(pick, path):
     raw = raw.replace(b"DATASUM =", b"DATASUX =")
     places = range(0, len(raw), CARD)
     cards = [at for at in places if re.match(rb"[A-Z][A-Z0-9-]{1,7} *= ", raw[at : at + 10])]
-    at, other = pick.choice(cards), pick.choice(cards)
+    layout = [at for at in cards if LAYOUT.match(raw, at)]  # of the table, which readers trust
+    at, other = pick.choice(layout if layout and pick.random() < 0.5 else cards), pick.choice(cards)
     own, value = bytes(raw[at : at + CARD]), pick.choice(CARDS)
     new = own[:8] + f"= {value:>20}"[: CARD - 8].ljust(CARD - 8).encode("latin-1", "replace")
     raw[at : at + CARD] = pick.choice((new, new, b"COMMENT".ljust(CARD), raw[other : other + CARD]))
@@ -85,7 +87,7 @@ def bytes_of(pick, path):
 def spoil(pick, path):
     """Spoil a file in one of the ways of its kind."""
     ways = {
-        ".fits": (fits_cards, fits_values, fits_values, bytes_of),
+        ".fits": (fits_cards, fits_cards, fits_values, fits_values, bytes_of),
         ".npy": (bytes_of,),
     }
     pick.choice(ways.get(path.suffix, (words_of, words_of, words_of, bytes_of)))(pick, path)
