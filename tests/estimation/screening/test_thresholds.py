@@ -6,7 +6,7 @@ from unittest import mock
 import numpy as np
 import scipy.stats
 
-from helpers.thresholds import below_and_above, outcome
+from helpers.thresholds import between, outcome
 from truenewton.chance import OF_EACH_KIND
 from truenewton.errors import TooManyOutliers
 from truenewton.estimation.findings.code import Code
@@ -185,8 +185,4 @@ CASES = [
     ("FAR_OUT_FACTOR", left_out_of_a_tail, 2.9, 0, 3.1, 1),
 ]  # fmt: skip
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)
