@@ -76,7 +76,6 @@ class ScreenedCampaign:
     suspects: tuple[Finding, ...] = ()  # files that are not what they claim
     # sensors that read the same in all rows; their displacement is 0
     frozen: tuple[Finding, ...] = ()
-    clipped: tuple[Finding, ...] = ()  # always empty
 
 
 def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
