@@ -19,12 +19,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, f_logsf
 from truenewton.estimation.effects.derivative import (
+    Columns,
     Derivative,
     FittedRows,
     OfEach,
@@ -33,9 +35,8 @@ from truenewton.estimation.effects.derivative import (
 )
 from truenewton.estimation.effects.fields import (
     Field,
-    FieldSums,
+    columns_of,
     derivative_of,
-    field_sums,
     from_mean,
     functions_with,
     standing_out,
@@ -96,19 +97,19 @@ def _gain(fit: FittedRows) -> Field:
     loads = np.delete((of_load - mean).T, int(lean.argmin()), axis=0)
     within = len(fit.moments.within.first)
     functions = functions_with(fit.moments, loads)
-    return Field(lambda _, c: -c, functions, within, each=within, gain=True)
+    return Field(lambda _, c: -c, functions, within, gain=True)
 
 
 def _zero(fit: FittedRows) -> Field:
     """Return g = h, h by file and by hour, also of each actuator."""
     groups = len(fit.moments.mean)
     functions = functions_with(fit.moments, np.empty((0, groups)))
-    return Field(lambda *_: np.ones((groups, 1)), functions, len(functions), each=len(functions))
+    return Field(lambda *_: np.ones((groups, 1)), functions, len(functions))
 
 
 def _bend(fit: FittedRows, bent: Callable[[Array], Array]) -> Field:
     """Return g = -c^2 or -c^3 in all rows, also of each actuator."""
-    return Field(lambda _, c: -bent(c), fit.moments.weight[None], each=1)
+    return Field(lambda _, c: -bent(c), fit.moments.weight[None])
 
 
 def _displacement(fit: FittedRows) -> Field:
@@ -126,17 +127,19 @@ FIELDS: dict[str, Callable[[FittedRows], Field]] = {
 }
 
 
-def _sum_fields(fit: FittedRows, names: Sequence[str]) -> None:
-    """Sum fields that several effects share, in one pass over the readings."""
-    sums = field_sums(fit, [FIELDS[name](fit) for name in names])
-    fit.found.update(zip(names, sums, strict=True))
+def columns_at(fit: FittedRows) -> tuple[Columns, dict[str, Field]]:
+    """Return the sums of all fields at a fit, taken once."""
+    if "columns" not in fit.found:
+        displaced = fit.moments.displacement is not None
+        fields = {k: of(fit) for k, of in FIELDS.items() if displaced or k != "displacement"}
+        fit.found["fields"], fit.found["columns"] = fields, columns_of(fit, fields)
+    return fit.found["columns"], fit.found["fields"]
 
 
-def _sums(fit: FittedRows, name: str) -> FieldSums:
-    if name not in fit.found:
-        _sum_fields(fit, [name])
-    found: FieldSums = fit.found[name]
-    return found
+def _derivative(fit: FittedRows, name: str, *functions: slice, **options: Any) -> Derivative:
+    """Return `derivative_of` of a field by its name."""
+    columns, fields = columns_at(fit)
+    return derivative_of(fit, columns, (name, fields[name]), *functions, **options)
 
 
 # -- effects on readings --------------------------------------------------------------------------
@@ -155,7 +158,7 @@ def by_hour(fit: FittedRows, field: str, *, each: bool) -> Derivative | None:
     if not np.any(within.square > 0):
         return None
     files = len(within.weight)
-    return derivative_of(fit, _sums(fit, field), slice(files, files + 1), each=each)
+    return _derivative(fit, field, slice(files, files + 1), each=each)
 
 
 def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
@@ -163,15 +166,15 @@ def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
     within = fit.moments.within
     if len(within.weight) < MIN_FILES:
         return None
-    gain, files, mix = _sums(fit, "gain"), _files(within), from_mean(within.weight.sum(axis=1))
+    files, mix = _files(within), from_mean(within.weight.sum(axis=1))
     if not single:
-        return derivative_of(fit, gain, files, mix=mix)
+        return _derivative(fit, "gain", files, mix=mix)
     affected = fit.affected
     if affected is None:
-        affected = standing_out(gain, files, mix)
+        affected = standing_out(columns_at(fit)[0], files, mix)
         if not 0 < affected.size <= max(1, MAX_AFFECTED_FRACTION * fit.problem.n):
             return None
-    return derivative_of(fit, gain, files, each=True, mix=mix, actuators=affected)
+    return _derivative(fit, "gain", files, each=True, mix=mix, actuators=affected)
 
 
 def gain_by_load(fit: FittedRows) -> Derivative | None:
@@ -182,8 +185,8 @@ def gain_by_load(fit: FittedRows) -> Derivative | None:
     """
     if len(fit.moments.loads) < 2:
         return None
-    gain, lean = _sums(fit, "gain"), leaning(fit.moments.loads)
-    readings = derivative_of(fit, gain, slice(gain.field.within, len(gain.score)))
+    lean, field = leaning(fit.moments.loads), columns_at(fit)[1]["gain"]
+    readings = _derivative(fit, "gain", slice(field.within, len(field.first)))
     ratio = bias_per_gain(fit.problem.campaign)
     if not lean.any() or ratio is None:
         return readings
@@ -207,19 +210,19 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     if len(within.weight) < MIN_FILES:
         return None
     direction = fit.scaled_arms[0] if each else None
-    return derivative_of(fit, _sums(fit, "zero"), _files(within), each=each, direction=direction)
+    return _derivative(fit, "zero", _files(within), each=each, direction=direction)
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
     """Return a gradient of the force of coils besides COILGRAD: g = -c^ z."""
     if fit.moments.displacement is None:
         return None
-    return derivative_of(fit, _sums(fit, "displacement"))
+    return _derivative(fit, "displacement")
 
 
 def of_field(fit: FittedRows, field: str, *, each: bool) -> Derivative:
     """Return non-linear coils: g = -c^2 (field 'square') or -c^3 ('cube'), of all or of each."""
-    return derivative_of(fit, _sums(fit, field), each=each)
+    return _derivative(fit, field, each=each)
 
 
 # -- effects on the balance and on the arms -------------------------------------------------------
@@ -397,8 +400,6 @@ def effect_tests(fit: FittedRows, *, bounded: bool = False) -> list[EffectTest]:
 
     ``bounded``: as in `chi2_of`.
     """
-    displaced = fit.moments.displacement is not None
-    _sum_fields(fit, [name for name in FIELDS if displaced or name != "displacement"])
     made = ((effect, effect.derivative(fit)) for effect in CATALOGUE)
     effects = [(effect, each) for effect, each in made if each is not None and each.count]
     found = chi2_of(fit, [derivative for _, derivative in effects], bounded=bounded)
