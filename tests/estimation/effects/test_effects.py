@@ -15,7 +15,7 @@ from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.chance import OF_EACH_KIND
 from truenewton.estimation.effects.catalogue import CATALOGUE, effect_tests, significant_tests
-from truenewton.estimation.effects.correction import correction, unknown_force
+from truenewton.estimation.effects.correction import unknown_force
 from truenewton.estimation.effects.derivative import (
     FittedRows,
     log_chance,
@@ -23,6 +23,7 @@ from truenewton.estimation.effects.derivative import (
     surely_sound,
     variance_at_least,
 )
+from truenewton.estimation.effects.joint import correction
 from truenewton.estimation.effects.examination import chi2_probability
 from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import LIMITS

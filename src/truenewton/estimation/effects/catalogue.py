@@ -16,7 +16,7 @@ M the rows less the groups. Parameters of each actuator are as many as are indep
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -29,6 +29,7 @@ from truenewton.estimation.effects.derivative import (
     Columns,
     Derivative,
     FittedRows,
+    Given,
     OfEach,
     chi2_of,
     log_chance,
@@ -395,28 +396,41 @@ class EffectTest:
     log_probability: float
 
 
-def effect_tests(fit: FittedRows, *, bounded: bool = False) -> list[EffectTest]:
-    """Return the tests of the catalogue at a fit, the likeliest effect first.
+def effect_tests(
+    fit: FittedRows,
+    given: Given | None = None,
+    without: Collection[Code] = (),
+    *,
+    bounded: bool = False,
+) -> list[EffectTest]:
+    """Return the tests of the catalogue ``without`` some effects at a fit, the likeliest first.
 
-    ``bounded``: as in `chi2_of`.
+    ``given`` and ``bounded``: as in `chi2_of`.
     """
-    made = ((effect, effect.derivative(fit)) for effect in CATALOGUE)
+    made = ((effect, effect.derivative(fit)) for effect in CATALOGUE if effect.code not in without)
     effects = [(effect, each) for effect, each in made if each is not None and each.count]
-    found = chi2_of(fit, [derivative for _, derivative in effects], bounded=bounded)
-    if fit.moments.by_force:
-        found = [one and _in_uneven_noise(fit, *pair, *one[:2])
-                 for pair, one in zip(effects, found, strict=True)]  # fmt: skip
-    each = [EffectTest(*pair, *one) for pair, one in zip(effects, found, strict=True) if one]
+    found = chi2_of(fit, [derivative for _, derivative in effects], given, bounded=bounded)
+    each = [tested(fit, *pair, *one) for pair, one in zip(effects, found, strict=True) if one]
     return sorted(each, key=lambda test: test.log_probability)
 
 
-def _in_uneven_noise(
-    fit: FittedRows, effect: Effect, _: Derivative, statistic: float, freedom: float
-) -> tuple[float, float, float]:
-    """Return the test of an effect if the noise grows with the force, and so along its pattern."""
+def tested(
+    fit: FittedRows,
+    effect: Effect,
+    derivative: Derivative,
+    chi2: float,
+    freedom: float,
+    log_probability: float | None = None,
+) -> EffectTest:
+    """Return the test of an effect by its chi^2.
+
+    If the noise grows with the force, it does so along the pattern of the effect, too.
+    """
     power = next((p for code, p in POWERS.items() if effect.code.startswith(code)), 0)
-    statistic /= fit.moments.noise_along(power) if power else 1.0
-    return statistic, freedom, float(log_chance(statistic, freedom))
+    if log_probability is None or (power and fit.moments.by_force):
+        chi2 /= fit.moments.noise_along(power) if power else 1.0
+        log_probability = float(log_chance(chi2, freedom))
+    return EffectTest(effect, derivative, chi2, freedom, log_probability)
 
 
 def significant_tests(found: Sequence[EffectTest]) -> list[EffectTest]:

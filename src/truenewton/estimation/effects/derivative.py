@@ -520,10 +520,18 @@ Chi2 = tuple[float, float, float]
 """chi^2, its degrees of freedom, and the logarithm of the probability of a larger one."""
 
 
+Given = tuple[Scored, Array]
+"""Effects that a fit contains already, and the (k, k) covariance of their parameters."""
+
+
 def chi2_of(
-    fit: FittedRows, derivatives: Sequence[Derivative], *, bounded: bool = False
+    fit: FittedRows,
+    derivatives: Sequence[Derivative],
+    given: Given | None = None,
+    *,
+    bounded: bool = False,
 ) -> list[Chi2 | None]:
-    """Return the score tests of some effects at a fit without them.
+    """Return the score tests of some effects at a fit without them, ``given`` those with it.
 
     For few parameters U' V^-1 U over the directions that the data constrain is chi^2 of as many
     degrees of freedom. For many, in units that make the diagonal of V 1, U' U is compared with
@@ -540,9 +548,9 @@ def chi2_of(
             found.append((0.0, 1.0, 0.0))
             continue
         if derivative.count > MAX_PARAMETERS_PER_ACTUATOR * fit.problem.n:
-            chi2 = _chi2_by_structure(derivative)
+            chi2 = _chi2_by_structure(derivative, given)
         else:
-            chi2 = _chi2_by_score(scored(fit, derivative), least)
+            chi2 = _chi2_by_score(scored(fit, derivative), given, least)
         found.append(chi2 and (*chi2, float(log_chance(*chi2))))
     return found
 
@@ -568,9 +576,13 @@ def surely_sound(fit: FittedRows, derivative: Derivative, least: float) -> bool:
     return bool(log_chance(f * nu, nu).min() > np.log(OF_EACH_KIND))
 
 
-def _chi2_by_score(result: Scored, least: float) -> tuple[float, float] | None:
+def _chi2_by_score(result: Scored, given: Given | None, least: float) -> tuple[float, float] | None:
     """Return chi^2 and degrees of freedom by score and variance; None without information."""
     whole, variance = result.whole, result.variance
+    if given is not None:
+        others, covariance = given
+        shared = result.with_others(others)
+        variance = variance - shared @ covariance @ shared.T
     seen = np.diag(variance) > least * whole
     if not seen.any():
         return None
@@ -588,12 +600,23 @@ def _chi2_by_score(result: Scored, least: float) -> tuple[float, float] | None:
     return chi2, float(np.count_nonzero(held))
 
 
-def _chi2_by_structure(derivative: Derivative) -> tuple[float, float] | None:
+def _chi2_by_structure(derivative: Derivative, given: Given | None) -> tuple[float, float] | None:
     """Return the same of several parameters of each actuator, by the residual of the means."""
     information, score = derivative.information, derivative.score
     if information is None:
         return None
-    chi2, held = chi2_of_each(score.reshape(information.shape[1:]), information)
+    m, _, n = information.shape
+    if given is not None:
+        others, covariance = given
+        shared = np.hstack(
+            [
+                np.broadcast_to(residual_information(derivative, other), (m * n, other.count))
+                for other in others.derivatives
+            ]
+        )
+        each, half = (values.reshape(m, n, -1) for values in (shared, shared @ covariance))
+        information = information - np.einsum("anj,bnj->abn", half, each)
+    chi2, held = chi2_of_each(score.reshape(m, n), information)
     return float(chi2.sum()), float(held.sum())
 
 

@@ -100,7 +100,7 @@ class _Pass:
         self.fit, self.fields, moments, n = fit, fields, fit.moments, fit.problem.n
         self.within, self.slices = moments.counted_within, dict[str, slice]()
         kinds: dict[tuple[str, bytes], int] = {}
-        kind = []
+        kind = list[int]()
         for name, field in fields.items():
             means = field.mean(moments)
             self.slices[name] = slice(len(kind), len(kind) + len(means))
