@@ -58,6 +58,7 @@ WITHIN_GROUPS = {
     Code.ZERO_BY_HOUR_OF_EACH,
     Code.ZERO_BY_FILE,
     Code.ZERO_BY_FILE_OF_EACH,
+    Code.ZERO_RANDOM_WALK,
     Code.LOAD_REPOSITIONED,
 }
 POWERS = {"gain": 1, "coil": 1, "quadratic": 2, "cubic": 3}  # of c^ in effects, by their code
@@ -214,6 +215,21 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     return _derivative(fit, "zero", _files(within), each=each, direction=direction)
 
 
+def zero_random_walk(fit: FittedRows) -> Derivative | None:
+    """Return a zero, the same for all, that changes from each file to the next, and stays.
+
+    A zero by file is independent of that of the file before; what has been moved, or drifts, is not.
+    """
+    within = fit.moments.within
+    order = np.argsort(within.hour.sum(axis=1) / within.weight.sum(axis=1))
+    if len(order) < MIN_FILES:
+        return None
+    steps = np.empty((len(order), len(order) - 1))
+    steps[order] = np.tri(*steps.shape, -1)
+    mix = from_mean(within.weight.sum(axis=1)) @ steps
+    return _derivative(fit, "zero", _files(within), mix=mix)
+
+
 def coil_gradient(fit: FittedRows) -> Derivative | None:
     """Return a gradient of the force of coils besides COILGRAD: g = -c^ z."""
     if fit.moments.displacement is None:
@@ -296,6 +312,26 @@ def parts_of_positions(fit: FittedRows) -> Iterator[Derivative]:
         yield positions(fit, slice(start, min(start + 64, n)))
 
 
+def shell_curvature(fit: FittedRows) -> Derivative:
+    """Return an error of NZ by 1 / R^2 of the shell: nz less by r^2 / 2 times it, r the radius."""
+    a, alpha = fit.problem.a, fit.alpha
+    less = np.zeros_like(a)
+    less[0] = -0.5 * (a[1] ** 2 + a[2] ** 2)
+    jacobian = (fit.fitted_rows @ (less * alpha).T)[:, :, None]
+
+    def spurious() -> tuple[Array, Array]:
+        s_inverse, pulled = fit.root.T @ fit.root, alpha * less[0]
+        noise = pulled @ fit.noise_covariance(slice(None))
+        count = len(fit.fitted_rows)
+        on_alpha = count * noise * (s_inverse[0] @ a)
+        return on_alpha[None], np.array([[count * s_inverse[0, 0] * (noise @ pulled)]])
+
+    def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return replace(problem, moved=problem.moved + theta[0] * less), moments
+
+    return Derivative(1, remove, jacobian=jacobian, spurious=spurious)
+
+
 def on_balance(fit: FittedRows, change: Array) -> Derivative:
     """Return an effect that adds (g, 3, k) to the balance of each group."""
     groups, _, k = change.shape
@@ -365,6 +401,7 @@ CATALOGUE: tuple[Effect, ...] = (
            "actuator"),
     Effect(Code.ZERO_BY_FILE, "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,
+    Effect(Code.ZERO_RANDOM_WALK, "N", zero_random_walk, _ZERO),
     Effect(Code.QUADRATIC_COIL, "1/N", partial(of_field, field="square", each=False), _QUADRATIC),
     Effect(Code.QUADRATIC_COIL_OF_EACH, "1/N", partial(of_field, field="square", each=True),
            _QUADRATIC, "actuator"),
@@ -379,6 +416,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect(Code.CONTACT_IN_ONE_SIGN_BY_LOAD, "N, N m", partial(contact, by_load=True), _TOUCH,
            "load"),
     POSITIONS,
+    Effect(Code.SHELL_CURVATURE, "1/m2", shell_curvature, "correct NZ in ACTUATORS"),
 )  # fmt: skip
 
 

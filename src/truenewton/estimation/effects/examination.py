@@ -58,6 +58,7 @@ from truenewton.records.campaign import Campaign, load_temperatures
 from truenewton.statics.load import leaning
 
 MAX_SIMILAR = 4  # effects that are tried
+MAX_CHANCE = 0.1  # of an effect that is looked at: it is in the fit if the data support it
 MIN_GAIN = 2.7  # of the likelihood by an effect of one parameter: exceeded by chance 1 of 10 times
 MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any imbalance
 MAX_REDUCED_CHI2 = 2.0  # chi^2 over degrees of freedom that unknown forces, not normal, may leave
@@ -242,19 +243,22 @@ def _corrected(
         if joint is not None:
             fit, parts, given = joint.at, joint.parts, (joint.scored, joint.covariance)
         without = tried | {part.effect.code for part in parts}
-        found = significant_tests(effect_tests(fit, given, without, bounded=True))
+        found = effect_tests(fit, given, without, bounded=True)
         shared = within and joint is None  # noise, or such an effect
         if shared:
             found = beside_shared_noise(found, fit, samples)
+        named = len(significant_tests(found))
+        found = found[:named] or [t for t in found if t.log_probability < np.log(MAX_CHANCE)]
         if not found:
             return (now if now.fits else None), first
-        if not first.effects:
+        if named and not first.effects:
             first = replace(start, effects=(_named(fit, found[0]),))
         force = None if shared else unknown_force(fit)
         if force is not None and force.log_probability < found[0].log_probability:
-            return _with_unknown_forces(now), first
+            entered = any(not part.free for part in parts)
+            return _with_unknown_forces(now if entered else start), first
         after: tuple[ExaminedFit, Joint] | None = None
-        for test in _similar(found):
+        for test in _similar(found) if named else found[:1]:
             tried.add(test.effect.code)
             trial = _entered(base, fit, parts, test)
             if trial is None:
@@ -267,12 +271,10 @@ def _corrected(
         if after is None:
             continue
         now, joint = after
-        if now.fits and not now.effects[-1].corrected:
+        if now.fits and now.effects and not now.effects[-1].corrected:
             return None, now
-        if len([part for part in joint.parts if not part.free]) == 1:
-            named = [effect for effect in now.effects if effect.code == joint.parts[-1].effect.code]
-            left_in = tuple(replace(effect, corrected=False) for effect in named)
-            first = replace(now, effects=left_in or now.effects)
+        if len(now.effects) == 1 and not parts[len(free) :]:
+            first = replace(now, effects=(replace(now.effects[0], corrected=False),))
 
 
 def _entered(
@@ -314,8 +316,8 @@ def _with(start: ExaminedFit, joint: Joint | None, samples: Array) -> ExaminedFi
             freedom = float(len(part.theta))
             test = tested(joint.at, part.effect, derivative, float(part.theta @ half), freedom)
             chance = test.log_probability
-            if chance_of_any(float(np.exp(chance)), len(CATALOGUE)) > OF_EACH_KIND:
-                continue
+        if chance_of_any(float(np.exp(chance)), len(CATALOGUE)) > OF_EACH_KIND:
+            continue
         effects.append(_found(joint.at, part, derivative, chance))
     return replace(
         start,
