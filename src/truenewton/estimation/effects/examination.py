@@ -59,7 +59,7 @@ from truenewton.statics.load import leaning
 
 MAX_SIMILAR = 4  # effects that are tried
 MAX_CHANCE = 0.1  # of an effect that is looked at: it is in the fit if the data support it
-MIN_GAIN = 2.7  # of the likelihood by an effect of one parameter: exceeded by chance 1 of 10 times
+MIN_GAIN = 4.0  # of the logarithm of the likelihood, twice: evidence of 7 to 1 for an effect
 MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any imbalance
 MAX_REDUCED_CHI2 = 2.0  # chi^2 over degrees of freedom that unknown forces, not normal, may leave
 MIN_SEEN_SPREAD = 0.5  # of tau^2: the part of a spread of zeros that the data must contain
@@ -313,8 +313,8 @@ def _with(start: ExaminedFit, joint: Joint | None, samples: Array) -> ExaminedFi
         chance = part.log_probability
         if part.free:
             half = np.linalg.solve(part.covariance, part.theta)
-            freedom = float(len(part.theta))
-            test = tested(joint.at, part.effect, derivative, float(part.theta @ half), freedom)
+            chi2 = float(part.theta @ half)
+            test = tested(joint.at, part.effect, derivative, chi2, part.determined)
             chance = test.log_probability
         if chance_of_any(float(np.exp(chance)), len(CATALOGUE)) > OF_EACH_KIND:
             continue

@@ -116,7 +116,9 @@ class Part:
     seen: Array | float = 1e-3  # the largest nu of each component so far
     log_probability: float = 0.0  # of the test by which it came into the fit
     covariance: Array | None = None  # (k, k) of theta at the end
-    gain: float = np.inf  # at the end; infinite if it is free
+    # At the end, infinite if it is free; and the number of parameters that the data determine
+    gain: float = np.inf
+    determined: float = 0.0
 
     @property
     def free(self) -> bool:
@@ -181,7 +183,7 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
         if len(derivatives) < len(parts):
             return None
         result, theta = scored(at, *derivatives), np.concatenate([part.theta for part in parts])
-        precision = _precision(parts, [part.variances for part in parts])
+        precision = _precision(parts, [part.variances for part in parts], result)
         try:  # an effect without any size does not converge
             inverse = _covariance(result.information, precision)
         except np.linalg.LinAlgError:
@@ -190,7 +192,7 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
         parts = tuple(_with_nu(part, inverse[k, k]) for part, k in _places(parts))
         # Theta has converged if its step is below 0.01 standard errors.
         if settled and float(step @ result.information @ step) < 1e-4:
-            return _ended(at, parts, result, inverse)
+            return _ended(at, parts, result, inverse, precision)
         theta = theta + step
         parts, settled = _moved(parts, theta, inverse)
         problem, moments = fit.problem, fit.moments
@@ -212,9 +214,15 @@ def _places(parts: Sequence[Part]) -> list[tuple[Part, slice]]:
     return [(p, slice(end - len(p.theta), end)) for p, end in zip(parts, ends, strict=True)]
 
 
-def _precision(parts: Sequence[Part], variances: Sequence[Array]) -> Array:
-    """Return the (k, k) inverse of the prior covariance of all parameters."""
-    each = [part.spreads.precision(v) for part, v in zip(parts, variances, strict=True)]
+def _precision(parts: Sequence[Part], variances: Sequence[Array], result: Scored) -> Array:
+    """Return the (k, k) inverse of the prior covariance of all parameters.
+
+    That of a free one is 0, but for rounding: gains by file have a mean of 0, and so one too many.
+    """
+    each = [
+        np.diag(1e-9 * result.whole[k]) if part.free else part.spreads.precision(v)
+        for (part, k), v in zip(_places(parts), variances, strict=True)
+    ]
     return np.asarray(scipy.linalg.block_diag(*each))
 
 
@@ -242,7 +250,9 @@ def _moved(parts: Sequence[Part], theta: Array, inverse: Array) -> tuple[tuple[P
     return tuple(moved), settled
 
 
-def _ended(at: FittedRows, parts: tuple[Part, ...], result: Scored, inverse: Array) -> Joint:
+def _ended(
+    at: FittedRows, parts: tuple[Part, ...], result: Scored, inverse: Array, precision: Array
+) -> Joint:
     """Return the fit with the covariance of its effects."""
     wide, ended = [], []
     for part, k in _places(parts):
@@ -250,8 +260,10 @@ def _ended(at: FittedRows, parts: tuple[Part, ...], result: Scored, inverse: Arr
         nu = np.maximum(part.spreads.determined(own, part.variances), 1e-3)
         spread = 1.0 + (excess_of_t(np.asarray(part.seen)) - 1.0) * part.seen / nu
         wide.append(part.variances if part.free else part.variances * spread)
-        ended.append(replace(part, gain=np.inf if part.free else _gain(part, own)))
-    covariance = _covariance(result.information, _precision(parts, wide))
+        determined = len(part.theta) - float(np.sum(own * precision[k, k]))
+        gain = np.inf if part.free else _gain(part, own)
+        ended.append(replace(part, gain=gain, determined=determined))
+    covariance = _covariance(result.information, _precision(parts, wide, result))
     problem, minimum = at.problem.with_error(at.minimum, result.moves, covariance)
     parts = tuple(replace(part, covariance=covariance[k, k]) for part, k in _places(ended))
     effective = float(np.sum(inverse * result.by_balance))
@@ -314,7 +326,8 @@ def free_effects(fit: FittedRows) -> tuple[Part, ...]:
 
     def price(some: Array) -> float:
         try:
-            covariance = inverse_of_positive(information[np.ix_(some, some)])
+            least = np.diag(1e-9 * result.whole[some])
+            covariance = inverse_of_positive(information[np.ix_(some, some)] + least)
         except np.linalg.LinAlgError:
             return np.inf
         return float(np.sqrt(1.0 + np.sum((covariance @ moves[some]) * moves[some]) / whole))
