@@ -107,7 +107,7 @@ def draw_layers(
             )
             drawn += [
                 f'<text x="{x + PADDING:.0f}" y="{y + LINE * (1 + j):.0f}" font-size="{TEXT}"'
-                f' fill="{FAINT}">{html.escape(line)}</text>'
+                f' fill="{FAINT}">{html.escape(line.replace("`", ""))}</text>'
                 for j, line in enumerate(texts[package])
             ]
         top += tall + GAP

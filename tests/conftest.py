@@ -3,6 +3,7 @@
 import datetime
 import os
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 # Of small matrices threads make everything slower, and workers share the cores already.
@@ -11,6 +12,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 import numpy as np
 import pytest
 import scipy.linalg
+from hypothesis import settings
 
 from helpers.balanced import p45_campaign
 from truenewton.bench.simulated.static import run_cycles, static_bench
@@ -18,11 +20,16 @@ from truenewton.calibration.methods import calibrate
 from truenewton.cli import terminal
 from truenewton.cli.main import main
 from truenewton.mirrors.known import p45
+from truenewton.reading import read
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import write_campaign
 from truenewton.report.findings import investigate
 from truenewton.statics.layout import Layout, rings
 from truenewton.statics.load import Load
+
+settings.register_profile("thorough", max_examples=20_000)
+settings.register_profile("usual", max_examples=250)
+settings.load_profile("usual")
 
 
 class Tiny(NamedTuple):
@@ -85,26 +92,55 @@ def p45_calibration():
 
 
 @pytest.fixture(scope="session")
+def lbt672_folder():
+    """The folder of the only measured mirror, which is not part of the repository."""
+    if "TRUENEWTON_REAL_DATA" not in os.environ:
+        pytest.skip("TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set")
+    return Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672"
+
+
+@pytest.fixture(scope="session")
+def real_matrix(lbt672_folder):
+    return read(lbt672_folder / "lbt672-feedforward.fits")
+
+
+@pytest.fixture(scope="session")
 def p45_findings():
     """What a report shows of P45 in two cycles at 1 mN; never changed."""
     return investigate(p45_campaign(2), diameter=2.13, efficiency=0.51)
 
 
-@pytest.fixture
-def inside(capsys, monkeypatch):
-    """Return a function that runs the command line in process: exit code, stdout, stderr.
+class Inside:
+    """The command line in process; lines are not wrapped, so that a test finds its words on one."""
 
-    Lines are not wrapped, so that a test finds its words on one.
-    """
-    monkeypatch.setattr(terminal, "WIDTH", 10_000)
+    def __init__(self, capsys, monkeypatch):
+        self.capsys, self.monkeypatch = capsys, monkeypatch
+        monkeypatch.setattr(terminal, "WIDTH", 10_000)
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, arguments)])
+    def __call__(self, *arguments):
+        """Return exit code, stdout and stderr."""
+        self.monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, arguments)])
         with pytest.raises(SystemExit) as stop:
             main()
-        return stop.value.code, *capsys.readouterr()
+        return stop.value.code, *self.capsys.readouterr()
 
-    return run
+    def prints(self, *arguments):
+        """Return what is printed by a command that succeeds."""
+        code, out, error = self(*arguments)
+        assert (code, error) == (0, "")
+        return out
+
+    def refuses(self, *arguments):
+        """Return the one line of a refusal."""
+        code, out, error = self(*arguments)
+        assert (code, out, error.count("\n")) == (2, "", 1), error
+        assert error.startswith("truenewton: ")
+        return error
+
+
+@pytest.fixture
+def inside(capsys, monkeypatch):
+    return Inside(capsys, monkeypatch)
 
 
 @pytest.fixture(autouse=True)

@@ -40,8 +40,6 @@ def test_every_recorded_result_has_a_case():
 
 # Codes that need no case, and why.
 WITHOUT_CASE = {
-    "frozen-readings": "this check is to go",
-    "two-mirrors": "this check is to go",
     "other": "read from files of other versions alone",
 }
 

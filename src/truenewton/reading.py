@@ -6,13 +6,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeVar
 
-from truenewton.calibration.file import LACKS, calibration_from
+from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.errors import FormatError, naming
 from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
 from truenewton.records.reader import AnyPath, Measured, flat, measured_in, open_files
+from truenewton.records.result import OTHER_FORMATS
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import require_segment
 
@@ -160,10 +161,10 @@ def read_calibration(path: AnyPath) -> Calibration:
     >>> tn.read_calibration("alpha.fits").method
     'ml'
     """
-    suffix = Path(path).suffix.lower()
-    if suffix in LACKS and Path(path).is_file():
+    other = OTHER_FORMATS[Calibration].get(Path(path).suffix.lower())
+    if other is not None and Path(path).is_file():
         raise FormatError(
-            f"contains {LACKS[suffix].partition(',')[0]}",
+            f"contains {other.lacks.partition(',')[0]}",
             remedy="give the .fits of the same calibration, which contains all of it",
             path=path,
         )

@@ -322,8 +322,7 @@ def test_rows_that_are_not_valid_are_said_with_what_takes_them_again(tmp_path, i
     monkeypatch.setattr("truenewton.acquisition.acquire.chosen_bench", lambda *_: next(benches))
     said = ", but 1 of 24 rows are not valid (ring-001.fits 1); to repeat a cycle, remove its"
     for already in ("", " already"):
-        code, out, _ = inside("acquire", path, "-o", folder)
-        assert code == 0
+        out = inside.prints("acquire", path, "-o", folder)
         assert f"c: complete{already}, 2 loads x 2 cycles{said}" in out
     (folder / "ring-001.fits").unlink()
     code, out, _ = inside("acquire", path, "-o", folder)

@@ -321,8 +321,7 @@ def plan_file(tmp_path, **changes):
 
 def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_path):
     plan, output = plan_file(tmp_path), tmp_path / "c"
-    code, out, err = inside("acquire", plan, "-o", output)
-    assert (code, err) == (0, "")
+    out = inside.prints("acquire", plan, "-o", output)
     assert out.splitlines()[0].startswith("'bare' is on: this is assumed, because no other load")
     assert out.splitlines()[1].startswith("'ring' is on: the sum of the forces is")
     then = f"next: truenewton calibrate {output} -o alpha.fits"
@@ -334,13 +333,10 @@ def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_p
         0, f"{output}: complete already, 2 loads x 2 cycles\n{then}\n", ""
     )  # fmt: skip
     assert truth.read_bytes() == sealed
-    code, _, err = inside("acquire", plan_file(tmp_path, cycles=3), "-o", output)
-    assert code == 2
+    err = inside.refuses("acquire", plan_file(tmp_path, cycles=3), "-o", output)
     assert "-cycles = 2, +cycles = 3" in err
-    assert err.count("\n") == 1
     shutil.rmtree(output)
-    code, _, err = inside("acquire", plan, "-o", output)
-    assert code == 2
+    err = inside.refuses("acquire", plan, "-o", output)
     assert err.endswith("exists already, without its campaign; remove it, or choose another name\n")
 
 
@@ -363,8 +359,7 @@ def test_nobody_at_a_terminal_must_say_yes(inside, tmp_path, monkeypatch):
     plan = plan_file(tmp_path)
     monkeypatch.setattr("truenewton.acquisition.acquire.chosen_bench", bench)
     monkeypatch.setattr("sys.stdin", None)
-    code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
-    assert code == 2
+    err = inside.refuses("acquire", plan, "-o", tmp_path / "c")
     assert "an operator must take every weight off the mirror ('bare')" in err
     code, out, err = inside("acquire", plan, "-o", tmp_path / "c", "--yes")
     assert code == 2  # it was left off, whatever was said

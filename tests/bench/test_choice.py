@@ -87,9 +87,7 @@ def test_the_bench_of_the_page_runs_from_the_command_line(inside, folder):
     assert len(CLASS.splitlines()) < 50
     plan = folder / "plan.toml"
     plan.write_text(toml_text(at("my_bench:MyBench")), encoding="utf-8")
-    code, out, error = inside("acquire", plan, "-o", folder / "c")
-    assert (code, error) == (0, "")
-    assert "complete, 2 loads x 1 cycle" in out
+    assert "complete, 2 loads x 1 cycle" in inside.prints("acquire", plan, "-o", folder / "c")
     bare, loaded = tn.read(folder / "c").cycles
     assert bare.valid.all()
     assert loaded.force.sum(axis=1).mean() - bare.force.sum(axis=1).mean() == pytest.approx(

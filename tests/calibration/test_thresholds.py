@@ -5,7 +5,7 @@ from unittest import mock
 
 import numpy as np
 
-from helpers.thresholds import below_and_above, outcome
+from helpers.thresholds import between, outcome
 from truenewton.calibration import verdict
 from truenewton.calibration.file import _refuse_disagreement
 from truenewton.calibration.verdict import (
@@ -140,8 +140,4 @@ CASES = [
     ("MIN_LIKE_OTHERS", like_others, 89, False, 90, True),
 ]  # fmt: skip
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

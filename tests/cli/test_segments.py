@@ -3,6 +3,7 @@
 import datetime
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import truenewton as tn
 from helpers.json_output import checked
 from helpers.segmented import in_one, pieces
 from truenewton.calibration import figures
+from truenewton.cli import segments
 from truenewton.cli.segments import numbered_path
 from truenewton.records.file import write_campaign
 
@@ -69,8 +71,7 @@ def test_each_segment_has_its_calibration_and_its_report(folder, inside, tmp_pat
     alpha, page = tmp_path / "alpha.fits", tmp_path / "page.html"
     some = tmp_path / "some.fits"
     assert inside("calibrate", folder, "-o", some, "--exclude", "103,201")[0] == 0
-    code, said, wrong = inside("calibrate", folder, "-o", alpha)
-    assert (code, wrong) == (0, "")
+    said = inside.prints("calibrate", folder, "-o", alpha)
     assert [line for line in said.splitlines() if line.startswith("segment")] == [
         "segment 1", "segment 2", "segment 3",
     ]  # fmt: skip
@@ -91,12 +92,38 @@ def test_each_segment_has_its_calibration_and_its_report(folder, inside, tmp_pat
     ]
 
 
+def test_an_output_of_all_segments_may_exist_if_that_of_each_does_not(folder, inside, tmp_path):
+    alpha = tmp_path / "alpha.fits"
+    assert inside("calibrate", folder, "-q", "--segment", 2, "-o", alpha)[0] == 0
+    assert inside("calibrate", folder, "-q", "--segment", 2, "-o", alpha)[0] == 2
+    written = "".join(f"written: {tmp_path / f'alpha-{k}.fits'}\n" for k in (1, 2, 3))
+    assert inside("calibrate", folder, "-q", "-o", alpha) == (0, written, "")
+    code, _, wrong = inside("calibrate", folder, "-q", "-o", alpha)
+    assert (code, wrong.count("exists already")) == (2, 3)
+
+
+@pytest.mark.parametrize("words", [
+    ("report", "page.html"), ("figures", "figures"), ("modes", "modes.fits"),
+    ("track", "law.fits"), ("recalibrate", "new.fits", "--known", "law.fits", "--actuators", "201"),
+    ("compare", "change.fits"),
+])  # fmt: skip
+def test_segments_are_taken_in_turn_though_the_output_of_all_exists(
+    words, folder, inside, tmp_path, monkeypatch
+):
+    (tmp_path / words[1]).touch()
+    command, output, *options = words
+    in_turn = mock.Mock(return_value=0)
+    monkeypatch.setattr(segments, "_in_turn", in_turn)
+    data = (folder, folder) if command == "compare" else (folder,)
+    assert inside(command, *data, "-o", tmp_path / output, *options) == (0, "", "")
+    assert in_turn.called
+
+
 def test_a_segment_that_is_refused_does_not_stop_the_others(spoilt, inside, tmp_path):
     code, said, wrong = inside("calibrate", spoilt, "-o", tmp_path / "alpha.fits")
-    assert code == 2
+    assert (code, wrong.count("\n")) == (2, 1)
     assert wrong.startswith("truenewton: segment 2: ")
     assert "FORCE is zero throughout" in wrong
-    assert wrong.count("\n") == 1
     assert [path.name for path in sorted(tmp_path.glob("alpha*"))] == [
         "alpha-1.fits", "alpha-3.fits",
     ]  # fmt: skip
@@ -107,14 +134,12 @@ def test_a_segment_that_is_refused_does_not_stop_the_others(spoilt, inside, tmp_
     assert "FORCE is zero" in values["segments"][1]["error"]
     assert values["segments"][2]["result"]["schema"] == "truenewton.calibrate/2"
     assert inside("calibrate", spoilt, "--segment", 3)[0] == 0
-    code, _, wrong = inside("calibrate", spoilt, "--segment", 4)
-    assert code == 2
+    wrong = inside.refuses("calibrate", spoilt, "--segment", 4)
     assert "there is no segment 4; choose 1, 2, 3" in wrong
 
 
 def test_an_actuator_of_no_segment_is_unknown(folder, inside):
-    code, _, wrong = inside("calibrate", folder, "--exclude", "103,999")
-    assert code == 2
+    wrong = inside("calibrate", folder, "--exclude", "103,999")[2]
     assert wrong.count("there is no actuator 999; IDs run from") == 3
 
 
@@ -122,8 +147,7 @@ def test_each_segment_is_tracked_and_recalibrated(folder, inside, tmp_path):
     """By its law, and by its part of a reference of all; one actuator was replaced."""
     later, after = tmp_path / "later", tmp_path / "after"
     write_campaign(day(30, 22.0), later)
-    code, said, _ = inside("track", folder, later, "-o", tmp_path / "law.fits")
-    assert code == 0
+    said = inside.prints("track", folder, later, "-o", tmp_path / "law.fits")
     assert said.count(": 2 calibrations, ") == 3
     for number in (1, 2, 3):
         law = tn.read_tracking(tmp_path / f"law-{number}.fits")
@@ -135,8 +159,7 @@ def test_each_segment_is_tracked_and_recalibrated(folder, inside, tmp_path):
     bare = [c for c in day(20, 17.0, factor) if c.load.key == "bare"]
     write_campaign(bare, after)
     words = ("recalibrate", after, "--known", tmp_path / "law.fits", "--actuators")
-    code, _, wrong = inside(*words, 105, "-o", tmp_path / "new.fits")
-    assert (code, wrong) == (0, "")
+    inside.prints(*words, 105, "-o", tmp_path / "new.fits")
     for number in (1, 2, 3):
         run = tn.read(after, segment=number)
         alone = tn.recalibrate(run, tmp_path / f"law-{number}.fits", [105] if number == 1 else [])
@@ -146,8 +169,6 @@ def test_each_segment_is_tracked_and_recalibrated(folder, inside, tmp_path):
     values = checked(inside(*words, "auto", "--json")[1])
     moved = [[one["actuator"] for one in of["result"]["moved"]] for of in values["segments"]]
     assert moved == [[105], [], []]
-    code, _, wrong = inside(*words, 105, "--segment", 1)
-    assert code == 2
-    assert "law.fits: cannot be read" in wrong
+    assert "law.fits: cannot be read" in inside.refuses(*words, 105, "--segment", 1)
     known = ("--known", tmp_path / "law-1.fits", "--actuators", 105, "--segment", 1)
     assert inside("recalibrate", after, *known)[0] == 0

@@ -9,7 +9,7 @@ import numpy as np
 
 import truenewton as tn
 from helpers.balanced import START
-from helpers.thresholds import below_and_above, outcome
+from helpers.thresholds import between, outcome
 from truenewton.bench.simulated.static import static_bench
 from truenewton.comparison import compare
 from truenewton.comparison.compare import _refuse_processed
@@ -157,8 +157,4 @@ CASES = [
     ("MAX_CHANGED_COUPLINGS", changed_couplings, 4, True, 5, False),
 ]
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

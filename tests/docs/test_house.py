@@ -129,7 +129,7 @@ def glossary():
 def exists(name):
     """Return whether a module, a name in it, or an attribute or field of that name exists."""
     parts = name.split(".")
-    for k in range(len(parts), 0, -1):
+    for k in range(len(parts), -1, -1):
         try:
             value = importlib.import_module(".".join(["truenewton", *parts[:k]]))
         except ModuleNotFoundError:
@@ -149,6 +149,13 @@ def test_every_name_in_the_glossary_exists():
     assert len(names) > 40
     assert [name for name in names if not exists(name)] == []
     assert not exists("estimation.minimum.Minimum.feigned")
+
+
+def test_every_name_on_the_page_of_the_api_exists():
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    names = re.findall(r"^\.\. auto\w+:: truenewton\.(\S+)$", page, re.MULTILINE)
+    assert len(names) > 60
+    assert [name for name in names if not exists(name)] == []
 
 
 @pytest.mark.parametrize(

@@ -33,18 +33,9 @@ def check(cycles, *words):
     assert any(all(word in text for word in words) for text in texts), texts
 
 
-@pytest.mark.parametrize(("noise", "cycles", "at"), [(1e-3, 2, 1), (5e-5, 4, -1)])
-def test_a_file_with_the_wrong_load_is_reported(noise, cycles, at):
-    files = p45(noise, cycles)
-    files[at] = replace(files[at], load=files[-1 - at].load, number=9)
-    check(files, "wrong LOAD", f"{files[at].load.name} 9")
-
-
 @pytest.mark.parametrize("noise", NOISE)
-def test_full_and_partial_copies_are_reported(noise):
+def test_a_copy_of_half_of_the_rows_is_reported(noise):
     files = p45(noise, 4)
-    whole = replace(files[1], force=files[0].force)
-    check([files[0], whole, *files[2:]], "copy", files[1].name)
     force = np.array(files[1].force)
     force[: len(force) // 2] = np.asarray(files[0].force)[: len(force) // 2]
     check([files[0], replace(files[1], force=force), *files[2:]], "copy", files[1].name)
@@ -62,45 +53,13 @@ def test_a_copy_in_other_digits_is_reported(noise, rounded):
     assert not any("copy" in text for text in messages(alike))
 
 
-@pytest.mark.parametrize(("noise", "cycles"), [(1e-3, 2), (5e-5, 4)])
-def test_wrong_labels_of_rows_are_reported(noise, cycles):
-    files = p45(noise, cycles)
-    reversed_signs = replace(files[1], sign=-files[1].sign)
-    check([files[0], reversed_signs, *files[2:]], "SIGN reversed", files[1].name)
-    last = int(files[1].shape.max())
-    counted = replace(files[1], shape=files[1].shape % last + 1)
-    check([files[0], counted, *files[2:]], "SHAPE numbered from another start", files[1].name)
-
-
-@pytest.mark.parametrize("noise", NOISE)
-def test_columns_that_lag_by_a_row_are_reported(noise):
+def test_forces_that_all_lag_by_a_row_are_reported():
     """They were an unknown force, quadratic coils or wrong positions."""
 
-    def late(which):
-        def change(_, force):
-            force[1:, which] = force[:-1, which]
-            return force
+    def late(_, force):
+        return np.concatenate([force[:1], force[:-1]])
 
-        return with_forces(p45(noise, 2), change)
-
-    found = [str(each.code) for each in tn.calibrate(Campaign(tuple(late([7, 30])))).effects]
-    assert found[0] == "other-row"
-    check(late([7]), "FORCE lags by a row", "actuator 8")
-    check(late(slice(None)), "FORCE lags by a row", "45 of 45 columns")
-    assert not any("lags" in text for text in messages(p45(noise, 2)))
-
-
-@pytest.mark.parametrize("noise", NOISE)
-@pytest.mark.parametrize("own", [0.0, 1.0])
-def test_a_column_that_repeats_another_is_reported(noise, own):
-    """It was an unknown force, a unit or wrong positions."""
-    random = np.random.default_rng(3)
-
-    def repeated(_, force):
-        force[:, 23] = force[:, 22] + own * noise * random.standard_normal(len(force))
-        return force
-
-    check(with_forces(p45(noise, 2), repeated), "two columns of FORCE are the same", "23 and 24")
+    check(with_forces(p45(1e-3, 2), late), "FORCE lags by a row", "45 of 45 columns")
 
 
 def pushed(bench):
@@ -156,7 +115,7 @@ def test_a_drift_is_no_noise_in_proportion_to_the_force():
     assert [str(each.code) for each in found] == ["gain-by-hour"]
 
 
-def test_a_dead_actuator_and_exchanged_poles_are_reported():
+def test_an_actuator_that_reads_noise_alone_is_refused_as_dead():
     random = np.random.default_rng(1)
 
     def silent(_, force):
@@ -164,31 +123,12 @@ def test_a_dead_actuator_and_exchanged_poles_are_reported():
         return force
 
     check(with_forces(p45(1e-3, 4), silent), "dead", "actuator 17")
-    poles = np.where(np.arange(45) == 20, -1.0, 1.0)
-    files = with_forces(p45(1e-3, 4), lambda _, f: f * poles)
-    assert "alpha is negative, the poles are exchanged: actuator 21" in messages(files)
 
 
-@pytest.mark.parametrize(
-    ("noise", "pair", "position"),
-    [(1e-3, (15, 16), True), (5e-5, (2, 40), False), (1e-3, (15, 16), False)],
-)
-def test_exchanged_cables_are_reported(noise, pair, position):
-    """By the stiffness; without POSITION the result is at best doubtful."""
+def test_exchanged_cables_make_the_result_doubtful_without_position():
     order = np.arange(45)
-    order[list(pair)] = pair[::-1]
-    files = p45(noise, 4) if position else p45(noise, 4, position=None)
-    files = with_forces(files, lambda _, f: f[:, order])
-    if position:
-        check(files, "exchanged columns", str(pair[0] + 1), str(pair[1] + 1))
-    assert tn.calibrate(Campaign(tuple(files))).verdict.level <= "doubtful"
-
-
-@pytest.mark.parametrize("far", [0.01, 1.0])
-def test_an_actuator_off_its_place_makes_the_result_doubtful(far):
-    files = p45(1e-4, 3)
-    x = files[0].layout.x + far * (np.arange(45) == 22)
-    files = [replace(c, layout=replace(c.layout, x=x)) for c in files]
+    order[[2, 40]] = 40, 2
+    files = with_forces(p45(5e-5, 4, position=None), lambda _, f: f[:, order])
     assert tn.calibrate(Campaign(tuple(files))).verdict.level <= "doubtful"
 
 

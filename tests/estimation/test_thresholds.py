@@ -8,7 +8,7 @@ import numpy as np
 import scipy.stats
 
 from helpers.balanced import START
-from helpers.thresholds import below_and_above
+from helpers.thresholds import between
 from truenewton.chance import FALSE_ALARM
 from truenewton.estimation import checks
 from truenewton.estimation.findings import estimate
@@ -170,7 +170,7 @@ def patterns(n):
 
 
 def named_one_by_one(count):
-    finding = about_actuators(LAYOUT, Code.CLIPPED_READINGS, range(count), many="actuators")
+    finding = about_actuators(LAYOUT, Code.STUCK_READING, range(count), many="actuators")
     return " of 100" not in finding.where
 
 
@@ -218,8 +218,4 @@ CASES = [
     ("MAGNET_COEFFICIENT", bias_changes_by, 1.0e-3, True, 1.2e-3, False),
 ]  # fmt: skip
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

@@ -1,6 +1,6 @@
 """Damaged files: a named refusal or the right result, and nothing else.
 
-Mutations of the fuzz, the same in every run, of sound cycle files without checksums. An oracle that
+Mutations, the same in every run, of sound cycle files without checksums. An oracle that
 shares no code with the package says what is right: astropy for the file, E written out row by row
 for the balance, numpy's least squares for the solution.
 """
@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from fuzz.files import bytes_of
-from fuzz.fits import fits_cards
+from helpers.spoiled import bytes_of, fits_cards
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonError
 from truenewton.reading import read_data

@@ -49,8 +49,7 @@ def check_alike(inside, path, *options):
 
     What `report` prints and puts on its page is `headline_of` what it finds.
     """
-    code, out, error = inside("info", path, *options, "--json")
-    assert (code, error) == (0, "")
+    out = inside.prints("info", path, *options, "--json")
     verdict = json.loads(out)["verdict"]
     faults = [each for each in verdict["findings"] if each["level"] != "sound"]
     fault, remedy = (faults[0]["fault"], faults[0]["remedy"]) if faults else ("", "")

@@ -123,7 +123,7 @@ def test_a_table_with_units_and_names(mine):
         ("[shell]", "coil_gradient = -1e6\n[shell]", FormatError, "sign within the gap"),
         ("[shell]", "puck_radius = -1e-3\n[shell]", FormatError, "puck_radius is -0.001; give z"),
         ("actuators.csv", "nowhere.csv", UnreadableFile, "cannot be read"),
-        ("actuators.csv", "mine.toml", FormatError, "lacks column 'X'; it has 'name = "),
+        ("actuators.csv", "mine.toml", FormatError, "line 9 has 1 cell, line 4 has"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_file_is_said_in_one_line(mine, old, new, error, said):
@@ -138,15 +138,19 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(mine, old, new, error, sa
     ("old", "new", "said"),
     [
         ("0.05,0.0\n", "\nO.05,0.0\n", "actuators.csv: line 3: X is 'O.05'; give a number"),
-        ("0.05,0.0\n", "0.05,\n", "actuators.csv: line 2: Y is empty; give a number"),
+        (
+            "0.05,0.0\n",
+            "0.05,\n",
+            "actuators.csv: Y of actuator 1 is not finite; give",
+        ),
         ("0.05,0.0\n", "0.09,0.0\n", "actuators.csv: actuator 1 is 0.09 m from the axis"),
-        ("X,Y", "X;Y", "it has 'X;Y'; name the columns X and Y in the first line, in metres"),
+        ("X,Y", "A,B", "have no columns x and y, but A and B; name two columns x and y"),
     ],
 )
 def test_what_is_wrong_with_a_table_names_it_and_the_line(mine, old, new, said):
     assert old in TABLE
     table = TABLE.replace(old, new, 1)
-    (mine.parent / "actuators.csv").write_text(table.replace(",", ";") if ";" in new else table)
+    (mine.parent / "actuators.csv").write_text(table)
     with pytest.raises((FormatError, GeometryError)) as refused:
         mirror_from(mine)
     assert said in str(refused.value)
@@ -156,8 +160,7 @@ def test_the_command_lists_tells_and_draws(inside, tmp_path, monkeypatch, mine):
     monkeypatch.chdir(tmp_path)
     _, listed, _ = inside("mirrors")
     assert all(name in listed for name in ("P45", "MMT336", "MAG585", "LBT672", "RING5352"))
-    code, told, _ = inside("mirrors", "p45", "--plot")
-    assert code == 0
+    told = inside.prints("mirrors", "p45", "--plot")
     assert "weight                -2.92" in told
     assert "[paper]" in told
     assert ">>>" not in told

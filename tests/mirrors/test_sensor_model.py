@@ -21,8 +21,7 @@ from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.sensor_model import sensor_model
-from truenewton.mirrors.shell.dynamics import moving_mass
-from truenewton.mirrors.shell.shell_model import model_shell, static_shapes
+from truenewton.mirrors.shell.shell_model import model_shell, moving_mass, static_shapes
 from truenewton.statics.layout import layout
 
 ELECTRODE = Annulus(8e-3, 12.5e-3)

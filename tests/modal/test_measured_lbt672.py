@@ -1,8 +1,6 @@
 """Forces of turbulence on the measured LBT672 matrix, beside figures that others computed."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,29 +19,21 @@ COMPUTED = {
 }
 
 
-@pytest.fixture(scope="module")
-def matrix():
-    if "TRUENEWTON_REAL_DATA" not in os.environ:
-        pytest.skip("TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set")
-    folder = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672"
-    return tn.read(folder / "lbt672-feedforward.fits")
-
-
 def cost_of(matrix, calibration, seen):
     stiffness = true_stiffness(matrix, calibration)
     return modal_base(matrix, stiffness, stiffness.modes, seen, np.zeros(650), EFFICIENCY).costs[0]
 
 
 @pytest.mark.parametrize("seeing", [0.8, 1.5])
-def test_forces_residual_and_power_are_those_computed_elsewhere(matrix, seeing):
+def test_forces_residual_and_power_are_those_computed_elsewhere(real_matrix, seeing):
     """Uncalibrated, and with piston in the turbulence, as they were computed."""
-    atmosphere, layout = Atmosphere(seeing), matrix.layout
+    atmosphere, layout = Atmosphere(seeing), real_matrix.layout
     x, y = (PUPIL.diameter / 2 / PUPIL.radius * v for v in (layout.x, layout.y))
     seen = seen_turbulence(layout, layout.enabled, atmosphere, PUPIL)
     variance = structure_function(np.array(1e9), atmosphere) / 2
     distance = np.hypot(x[:, None] - x, y[:, None] - y)
     with_piston = variance - structure_function(distance, atmosphere) / 2
-    cost = cost_of(matrix, None, replace(seen, wavefront=with_piston))
+    cost = cost_of(real_matrix, None, replace(seen, wavefront=with_piston))
     at = NUMBERS - 1
     rms, worst, surface, power = COMPUTED[seeing]
     assert 1e3 * np.sqrt(np.mean(cost.force[:, at] ** 2, axis=0)) == pytest.approx(rms, rel=0.1)
@@ -53,10 +43,10 @@ def test_forces_residual_and_power_are_those_computed_elsewhere(matrix, seeing):
 
 
 @pytest.mark.study
-def test_alpha_and_a_turbulence_without_piston_save_a_third_of_the_power(matrix):
-    layout = matrix.layout
+def test_alpha_and_a_turbulence_without_piston_save_a_third_of_the_power(real_matrix):
+    layout = real_matrix.layout
     seen = seen_turbulence(layout, layout.enabled, Atmosphere(0.8), PUPIL)
-    before, after = (cost_of(matrix, c, seen) for c in (None, tn.calibrate(matrix, "ml")))
+    before, after = (cost_of(real_matrix, c, seen) for c in (None, tn.calibrate(real_matrix, "ml")))
     assert after.power[:, -1].sum() < before.power[:, -1].sum() < 0.8 * 128
     assert after.power[:, -1].sum() < 0.72 * 128
     assert after.force[:, -1].max() < 0.8 * before.force[:, -1].max() < 0.6 * 0.421

@@ -6,7 +6,7 @@ import numpy as np
 
 import truenewton as tn
 from helpers.balanced import START
-from helpers.thresholds import below_and_above, outcome
+from helpers.thresholds import between, outcome
 from truenewton.modal.bases import zernike_modes
 from truenewton.modal.findings import ModalFindings, compare_modes
 from truenewton.modal.measured_stiffness import Products, _along_rigid, stiffness_of
@@ -135,8 +135,4 @@ CASES = [
     ("MAX_DIAMETER", diameter, 99.0, "accepted", 101.0, "refused"),
 ]
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

@@ -1,6 +1,6 @@
 """Each constant that decides about a plan: a case just below, and a case just above."""
 
-from helpers.thresholds import below_and_above
+from helpers.thresholds import between
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.planning.plan_prediction import _more_cycles, _tilted
 from truenewton.statics.load import Load
@@ -27,8 +27,4 @@ CASES = [
     ("TILT_ERROR", tilt_is_known_to, 0.09, False, 0.11, True),
 ]
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

@@ -6,7 +6,7 @@ from unittest import mock
 
 import numpy as np
 
-from helpers.thresholds import below_and_above, outcome
+from helpers.thresholds import between, outcome
 from truenewton.recalibration import fit, prior
 from truenewton.tracking.lines import Scatter
 
@@ -91,8 +91,4 @@ CASES = [
     ("MIN_VARIANCE", contrasts, 0.9e-6, 1, 1.1e-6, 2),
 ]
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

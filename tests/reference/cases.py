@@ -128,6 +128,7 @@ def verdict_lines(verdict: Any) -> tuple[str, ...]:
 
 def finding_line(finding: Any) -> str:
     """Return a finding as data: a sentence may be reworded, and nothing else changes."""
+    assert finding.fault  # its sentence can be made of its values
     codes, one, numbers = [], finding, []
     while one is not None:
         codes.append(str(one.code))

@@ -6,12 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from helpers.balanced import p45_bench, p45_campaign
-from truenewton.bench.simulated.static import START
+from helpers.balanced import p45_campaign, p45_matrix
 from truenewton.modal import summary as words
 from truenewton.modal.findings import compare_modes, find_modes
 from truenewton.records.campaign import Campaign
-from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report import findings as module
 from truenewton.report.figures import still_figures
 from truenewton.report.findings import ModeResiduals, investigate
@@ -22,8 +20,7 @@ PUPIL = {"diameter": 2.13, "efficiency": 0.51}
 
 @pytest.fixture(scope="module")
 def matrix():
-    truth = p45_bench().truth
-    return StiffnessMatrix("P45", START, truth.layout, truth.stiffness / truth.alpha[:, None])
+    return p45_matrix(0.0)[0]
 
 
 @pytest.fixture(scope="module")

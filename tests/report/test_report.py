@@ -254,14 +254,12 @@ def test_a_page_of_a_large_mirror_is_little_longer_than_bokeh():
 
 
 def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp_path):
-    code, out, err = inside("report", p45_folder, "-o", tmp_path / "one.html")
-    assert (code, err) == (0, "")
+    out = inside.prints("report", p45_folder, "-o", tmp_path / "one.html")
     assert out.startswith("Usable. Alpha of all 45 actuators of P45 has a typical error")
     assert f"truenewton report {p45_folder}" in (tmp_path / "one.html").read_text()
     for method in ("ml", "svd"):
         inside("calibrate", p45_folder, "--method", method, "-o", tmp_path / f"{method}.fits")
-    code, out, err = inside("report", tmp_path / "ml.fits", "-o", tmp_path / "two.html")
-    assert (code, err) == (0, "")
+    inside.prints("report", tmp_path / "ml.fits", "-o", tmp_path / "two.html")
     assert (
         "does not contain them. To show them, give the cycles"
         in (tmp_path / "two.html").read_text()
@@ -276,14 +274,9 @@ def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp
                  for text in (same, other)]  # fmt: skip
         assert words[0] == words[1]
     pair = (tmp_path / "svd.fits", tmp_path / "ml.fits")
-    code, out, err = inside("report", *pair, "-o", tmp_path / "pair.html")
-    assert (code, err) == (0, "")
-    assert "use the same files" in out
-    code, _, err = inside("report", p45_folder, "-o", tmp_path / "one.html")
-    assert code == 2
-    assert "exists already" in err
-    code, _, err = inside("report", p45_folder, "-o", tmp_path / "x.html", "--method", "no")
-    assert code == 2
+    assert "use the same files" in inside.prints("report", *pair, "-o", tmp_path / "pair.html")
+    assert "exists already" in inside.refuses("report", p45_folder, "-o", tmp_path / "one.html")
+    err = inside.refuses("report", p45_folder, "-o", tmp_path / "x.html", "--method", "no")
     assert "there is no method 'no'" in err
 
 
@@ -296,9 +289,7 @@ def test_a_matrix_with_its_calibration_and_actuators_with_texts(inside, tmp_path
     calibration = tn.calibrate(tmp_path / "k.fits", "ml")
     calibration.write(tmp_path / "a.fits")
     command = "report", tmp_path / "k.fits", "--calibration", tmp_path / "a.fits"
-    code, out, err = inside(*command, "-o", tmp_path / "one.html")
-    assert (code, err) == (0, "")
-    assert "(B" in out
+    assert "(B" in inside.prints(*command, "-o", tmp_path / "one.html")
     tn.write_report(tmp_path / "two.html", calibration)
     assert "17 (B17)" in (tmp_path / "two.html").read_text()
     with pytest.raises(TypeError, match="takes the name of the page first"):
@@ -312,6 +303,28 @@ def test_a_calibration_of_other_files_gives_no_page(p45):
     cycles = (replace(c, source=Source(c.name, "1" * 64, 1, 0)) for c in p45.data.cycles)
     with pytest.raises(CampaignMismatch, match="was not used for the calibration"):
         investigate(Campaign(tuple(cycles)), calibration=other)
+
+
+def test_the_evidence_is_that_of_all_actuators_though_some_are_excluded():
+    """The forces of an excluded actuator are part of the balance."""
+    data = report_data.fine()
+    every, some = (investigate(data, calibration=calibrate(data, exclude=ids)).evidence
+                   for ids in ([], [3]))  # fmt: skip
+    assert some.residuals.after == pytest.approx(every.residuals.after, rel=1e-9)
+    assert [line.after for line in some.balance] == pytest.approx(
+        [line.after for line in every.balance], rel=1e-9
+    )
+
+
+def test_an_excluded_actuator_whose_force_is_0_is_no_part_of_the_evidence():
+    without = report_data.fine(disabled=(2,))
+    on = np.ones(14, dtype=bool)
+    cycles = (replace(c, force=np.nan_to_num(c.force), layout=replace(c.layout, enabled=on))
+              for c in without)  # fmt: skip
+    data = Campaign(tuple(cycles))
+    found = investigate(data, calibration=calibrate(data, exclude=[3])).evidence
+    expected = investigate(without).evidence.residuals.after
+    assert found.residuals.after == pytest.approx(expected, rel=1e-9)
 
 
 def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):

@@ -44,6 +44,14 @@ def scattered(seed, own=0.0, common=0.0):
 # The estimate
 
 
+@pytest.mark.parametrize("common", [True, False])
+def test_equal_days_have_no_scatter(common):
+    found = estimate_scatter(
+        np.zeros((2, 10)), np.array([1e-8 * np.eye(10)] * 2), np.eye(10), ALL[:10], common=common
+    )
+    assert (found.own, found.common) == (0.0, 0.0)
+
+
 def test_scatter_is_where_the_restricted_likelihood_of_all_days_is_largest():
     """Against the density of contrasts of all days in one matrix, turned at random."""
     days = gather_days(map(named, scattered(3, own=3e-4, common=5e-4)))

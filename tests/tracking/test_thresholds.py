@@ -8,7 +8,7 @@ from unittest import mock
 import numpy as np
 
 from helpers.balanced import START
-from helpers.thresholds import below_and_above, outcome
+from helpers.thresholds import between, outcome
 from truenewton.tracking import fit
 from truenewton.tracking.days import _by_temperature
 from truenewton.tracking.fit import _limits_of, _refuse_other_units, _settings
@@ -104,8 +104,4 @@ CASES = [
     ("TAIL", interval_reaches_less_than, 1.95, False, 1.97, True),
 ]
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

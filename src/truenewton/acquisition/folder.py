@@ -25,14 +25,14 @@ from truenewton.acquisition.taker import Row, force_noise, mean_sum
 from truenewton.arrays import Array, rms
 from truenewton.bench.protocol import Bench, gradients_of
 from truenewton.errors import BenchFault, CampaignMismatch, OutputExists, OutputFailed
-from truenewton.files.fits import read_fits, write_fits
+from truenewton.files.fits import SUFFIXES, read_fits, write_fits
 from truenewton.files.format import FileFormat, ImageFormat
 from truenewton.files.opening import read_text
 from truenewton.files.outputs import file_beside, in_one_line, to_disk
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
-from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
+from truenewton.records.file import cycle_from, cycle_name
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, LEAST_NOISE

@@ -15,7 +15,7 @@ from truenewton.arrays import Array
 from truenewton.bench.choice import BENCH_KINDS, BenchChoice, foreign_keys
 from truenewton.bench.protocol import MAX_SAMPLES
 from truenewton.errors import FormatError, LimitExceeded
-from truenewton.files.fits import read_fits
+from truenewton.files.fits import SUFFIXES, read_fits
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from, segment_from, whole_mirror_from
 from truenewton.mirrors.known import Mirror
@@ -23,7 +23,7 @@ from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.mirrors.shell.shell_model import ShellModel, model_shell
 from truenewton.quantities import Quantity, check_quantities, convert_quantities
 from truenewton.records.cycle import LARGEST_DISPLACEMENT
-from truenewton.records.file import SUFFIXES, cycle_name, stiffness_from
+from truenewton.records.file import cycle_name, stiffness_from
 from truenewton.rounding import numbered
 from truenewton.statics.layout import MAX_ACTUATORS, Layout
 from truenewton.statics.load import Load, check_load

@@ -235,13 +235,12 @@ def lacking(thing: object, protocol: type) -> list[str]:
 
 
 @contextlib.contextmanager
-def faults_of(what: str, remedy: str = "check the bench") -> Iterator[None]:
+def faults_of(what: str) -> Iterator[None]:
     """Turn any exception of a bench's own code into a `BenchFault` that names it and its cause."""
     try:
         yield
     except TrueNewtonError:
         raise
     except Exception as error:
-        raise BenchFault(
-            f"{what} fails ({type(error).__name__}: {error})", remedy=remedy
-        ) from error
+        fault = f"{what} fails ({type(error).__name__}: {error})"
+        raise BenchFault(fault, remedy="check the bench") from error

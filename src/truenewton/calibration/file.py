@@ -12,7 +12,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import ACTUATORS, CALIBRATION, Calibration
-from truenewton.errors import FormatError, OutputExists, OutputFailed
+from truenewton.errors import FormatError
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.estimate import (
     Diagnosis,
@@ -27,8 +27,7 @@ from truenewton.estimation.matrix.facts import Symmetry
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import columns_of, header_of
-from truenewton.files.outputs import file_beside
-from truenewton.records.result import FORMATS, write
+from truenewton.records.result import FORMATS, OTHER_FORMATS, OtherFormat, format_of
 
 MAX_NUMBER = 1e30  # in a file
 VARIANCE_TOLERANCE = 1e-3  # relative; rounding to 32 bits allowed
@@ -127,58 +126,24 @@ def _warning(code: str, level: str, fault: str, remedy: str, stored: str) -> Fin
 
 FORMATS[Calibration] = CALIBRATION
 
-WHOLE = (".fits", ".fits.gz")
-LACKS = {  # of the other formats, what they contain and lack
-    ".ecsv": "the table and the verdict, without covariance",
-    ".csv": "only the table, without units (X and Y are in m), verdict and covariance",
-    ".npy": "only alpha (NaN for disabled actuators), without errors and verdict",
-}
-
-
-def suffix_of(path: str | os.PathLike[str]) -> str:
-    """Return the suffix of a name that decides its format; raise OutputExists or OutputFailed."""
-    name = Path(path).name.lower()
-    for suffix in (*WHOLE, *LACKS):
-        if name.endswith(suffix):
-            return suffix
-    if Path(path).is_dir():
-        raise OutputExists("is a folder", remedy="choose another name", path=path)
-    raise OutputFailed(
-        "is no name for a calibration",
-        remedy=f"let it end in {', '.join((*WHOLE, *LACKS))}",
-        path=path,
-    )
-
 
 def lacking(calibration: Calibration, path: str | os.PathLike[str]) -> str:
     """Return what a file of that name does not contain of a calibration; '' if it contains all."""
-    lacks = LACKS.get(suffix_of(path), "")
-    if not lacks:
+    other = format_of(Calibration, path)
+    if other is None:
         return ""
     return (
-        f"{Path(path).name} contains {lacks}. The verdict is '{calibration.verdict.level}'. Other"
-        " commands need a .fits file, which contains everything."
+        f"{Path(path).name} contains {other.lacks}. The verdict is '{calibration.verdict.level}'."
+        " Other commands need a .fits file, which contains everything."
     )
 
 
-@write.register(Calibration)
-def write_calibration(
-    calibration: Calibration, path: str | os.PathLike[str], *, overwrite: bool = False
-) -> None:
-    """Write a calibration in the format of the suffix; raise OutputExists or OutputFailed."""
-    suffix = suffix_of(path)
-    if suffix in WHOLE:
-        write.dispatch(object)(calibration, path, overwrite=overwrite)
-        return
-    with file_beside(path, overwrite=overwrite) as temporary:
-        if suffix == ".npy":
-            with temporary.open("wb") as file:
-                np.save(file, calibration.alpha, allow_pickle=False)
-        else:
-            _write_table(calibration, temporary, suffix)
+def _write_alpha(calibration: Calibration, path: Path) -> None:
+    with path.open("wb") as file:
+        np.save(file, calibration.alpha, allow_pickle=False)
 
 
-def _write_table(calibration: Calibration, path: Path, suffix: str) -> None:
+def _write_table(calibration: Calibration, path: Path) -> None:
     """Write the table with all digits; ECSV also has units, keywords and the verdict's faults."""
     from astropy.table import Column, Table
 
@@ -186,9 +151,20 @@ def _write_table(calibration: Calibration, path: Path, suffix: str) -> None:
     for name, _, unit, values in columns_of(calibration, ACTUATORS):
         if name != "NZ":
             table[name] = Column(values, unit=unit)
-    if suffix == ".ecsv":
+    if path.suffix.lower() == ".ecsv":
         for name, value, _ in header_of(calibration, CALIBRATION):  # YAML knows plain types alone
             table.meta[name] = str(value) if isinstance(value, str) else np.asarray(value).item()
         faults = calibration.verdict.faults
         table.meta["FAULTS"] = [as_sentences(each) for each in faults]
-    table.write(path, format=f"ascii{suffix}")
+    table.write(path, format=f"ascii{path.suffix.lower()}")
+
+
+OTHER_FORMATS[Calibration] = {
+    ".ecsv": OtherFormat(_write_table, "the table and the verdict, without covariance"),
+    ".csv": OtherFormat(
+        _write_table, "only the table, without units (X and Y are in m), verdict and covariance"
+    ),
+    ".npy": OtherFormat(
+        _write_alpha, "only alpha (NaN for disabled actuators), without errors and verdict"
+    ),
+}

@@ -11,7 +11,7 @@ import typer
 from truenewton.cli import options
 from truenewton.cli.terminal import about, busy, print_result
 from truenewton.errors import FormatError
-from truenewton.files.outputs import atomic_outputs, refuse_existing
+from truenewton.files.outputs import refuse_existing
 
 
 def run_info(
@@ -76,20 +76,21 @@ def run_calibrate(
     quiet: bool = options.QUIET,
 ) -> None:
     """Calibrate alpha, true Newtons per commanded Newton, of every actuator."""
-    from truenewton.calibration.file import lacking, suffix_of
+    from truenewton.calibration.file import lacking
     from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.result import Calibration
     from truenewton.calibration.summary import detail_lines, summary_lines, summary_values
     from truenewton.calibration.verdict import refuse_unusable
+    from truenewton.files.fits import SUFFIXES
     from truenewton.reading import read_data
-    from truenewton.records.file import SUFFIXES
+    from truenewton.records.result import format_of
     from truenewton.records.stiffness_matrix import StiffnessMatrix
 
-    if output is not None:
-        suffix_of(output)
-    refuse_existing(output, overwrite=overwrite)
+    format_of(Calibration, output)
     out = options.ids(exclude, "--exclude")
     with busy("reading"):
         data = read_data(*paths, segment=segment)
+    refuse_existing(output, overwrite=overwrite)
     with about(paths):
         with busy("calibrating", keeping=True) as waiting:
             motion = options.motion_of(mirror, data)
@@ -132,20 +133,20 @@ def run_recalibrate(
     quiet: bool = options.QUIET,
 ) -> None:
     """Calibrate replaced actuators with a short run; all others keep their calibration."""
-    from truenewton.calibration.file import suffix_of
+    from truenewton.calibration.result import Calibration
     from truenewton.calibration.summary import detail_lines
     from truenewton.calibration.verdict import refuse_unusable
     from truenewton.reading import read
     from truenewton.recalibration.fit import recalibrate
     from truenewton.recalibration.summary import lines, values
+    from truenewton.records.result import format_of
 
     auto = actuators.strip().casefold() == "auto"
     ids = [] if auto else options.ids(actuators, "--actuators")
-    if output is not None:
-        suffix_of(output)
-    refuse_existing(output, overwrite=overwrite)
+    format_of(Calibration, output)
     with busy("recalibrating"), about(paths):
         data = read(*paths, segment=segment)
+        refuse_existing(output, overwrite=overwrite)
         new = data.layout.ids_of(ids)
         made = recalibrate(data, known, new, accept_rejected=anyway)
         refuse_unusable(made.calibration, accept_rejected=anyway)
@@ -182,21 +183,21 @@ def run_compare(
 ) -> None:
     """Find what changed between two stiffness matrices, campaigns or calibrations of one mirror."""
     from truenewton.comparison.compare import compare
+    from truenewton.comparison.result import Comparison
     from truenewton.comparison.summary import lines, values
     from truenewton.figures.writing import write_figure
     from truenewton.reading import read
-    from truenewton.records.file import SUFFIXES
+    from truenewton.records.result import format_of
 
-    options.require_suffix(output, (*SUFFIXES, ".csv", ".ecsv"), "comparison")
-    refuse_existing(output, figure, overwrite=overwrite)
+    format_of(Comparison, output)
     with busy("comparing"):
         one, other, *third = (read(path, segment=segment) for path in (old, new, repeat) if path)
+        refuse_existing(output, figure, overwrite=overwrite)
         compared = compare(one, other, repeat=third[0] if third else None)
-    with atomic_outputs():
-        if output is not None:
-            compared.write(output, overwrite=overwrite)
-        if figure is not None:
-            write_figure(compared.plot(), figure, overwrite=overwrite)
+    if output is not None:
+        compared.write(output, overwrite=overwrite)
+    if figure is not None:
+        write_figure(compared.plot(), figure, overwrite=overwrite)
     written = (output, figure) if figure else (output,)
     print_result(
         lines(compared), *written, values=values(compared), schema="compare",
@@ -232,16 +233,15 @@ def run_track(
         raise FormatError(
             f"--accuracy is {accuracy:g}", remedy="give a relative error, such as 0.005"
         )
-    refuse_existing(output, figures, overwrite=overwrite)
     with busy("tracking"):
         law = track(*paths, accept_rejected=anyway, segment=segment)
+        refuse_existing(output, figures, overwrite=overwrite)
         shown, numbers = lines(law, accuracy), values(law, accuracy)
     drawn: list[Path] = []
-    with atomic_outputs():
-        if output is not None:
-            law.write(output, overwrite=overwrite)
-        if figures is not None:
-            drawn = write_drawn(tracking_figures(law), figures, overwrite=overwrite)
+    if output is not None:
+        law.write(output, overwrite=overwrite)
+    if figures is not None:
+        drawn = write_drawn(tracking_figures(law), figures, overwrite=overwrite)
     written = drawn if quiet or not figures else [figures]
     print_result(
         shown, output, *written, details=table_of(law), values=numbers,

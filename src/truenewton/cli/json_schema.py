@@ -16,7 +16,7 @@ from truenewton.calibration import summary as calibration
 from truenewton.calibration.result import CALIBRATION, Calibration
 from truenewton.comparison import summary as comparison
 from truenewton.estimation.findings.finding import FINDING, VERDICT, Finding, Verdict
-from truenewton.files.format import Attribute, Column, TableFormat
+from truenewton.files.format import Attribute, TableFormat
 from truenewton.files.values import Columns, Values
 from truenewton.mirrors.glass import Shell
 from truenewton.mirrors.known import Mirror
@@ -30,6 +30,8 @@ from truenewton.tracking import summary as tracking
 from truenewton.tracking.law import Validity
 
 Schema = dict[str, Any]
+Part = Attribute | Values | Columns
+Way = tuple[Part, ...]
 VERSION = 2  # of all outputs; it changes if a key changes or is removed
 ANY: Schema = {}
 TEXT: Schema = {"type": "string"}
@@ -39,6 +41,7 @@ DATE: Schema = {"type": "string", "format": "date-time"}
 NUMBER: Schema = {"type": ["number", "null"]}  # null if it is unknown or infinite
 SIMPLE = {str: TEXT, bool: TRUTH, int: COUNT, np.int64: COUNT, np.bool_: TRUTH, range: ANY}
 SIMPLE |= {datetime.datetime: DATE}
+OF_KIND = {"float": float, "bool": bool, "str": str, "date": datetime.datetime}  # others: int
 
 
 def _list(items: Schema) -> Schema:
@@ -58,72 +61,66 @@ def _each(schema: Schema, names: str) -> dict[str, Schema]:
     return dict.fromkeys(names.split(), schema)
 
 
-def _of_type(hint: Any, unit: str = "") -> Schema:
-    """Return the schema of a value by its annotation."""
-    if hint is float or hint is np.float64:
-        return NUMBER | ({"unit": unit} if unit else {})
-    if hint in SIMPLE:
-        return SIMPLE[hint]
+def _of_type(hint: Any, way: Way = (), unit: str = "") -> Schema:
+    """Return the schema of what a path leads to from a value, by the annotation of the value."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
-        kinds = [_of_type(one, unit) for one in inner if one is not types.NoneType]
+        kinds = [_of_type(one, way, unit) for one in inner if one is not types.NoneType]
         one = kinds[0] if len(kinds) == 1 else {"anyOf": kinds}
         return _or_null(one) if types.NoneType in inner else one
-    if origin is np.ndarray:  # of any number of dimensions
-        return _list({"anyOf": [_of_type(get_args(inner[1])[0], unit), {"type": "array"}]})
     if origin in (tuple, list):
-        return _list(_of_type(inner[0], unit))
+        return _list(_of_type(inner[0], way, unit))
+    if way:
+        return _of_part(hint, *way)
+    if hint is float or hint is np.float64:
+        return NUMBER | ({"unit": unit} if unit else {})
+    if origin is np.ndarray:  # of any number of dimensions
+        return _list({"anyOf": [_of_type(get_args(inner[1])[0], (), unit), {"type": "array"}]})
+    if hint in SIMPLE:
+        return SIMPLE[hint]
     if isinstance(hint, type) and issubclass(hint, Enum):
         return {"enum": [str(each) for each in hint]}
     if hint in (Verdict, Finding):
         return {"$ref": f"#/$defs/{hint.__name__.lower()}"}
     if hasattr(hint, "as_values"):
-        return _of_type(get_type_hints(hint.as_values.fget)["return"])
+        return _of_part(hint, "as_values")
     return _object(_of_fields(hint)) if is_dataclass(hint) else ANY
+
+
+def _of_part(kind: Any, part: Part, *others: Part) -> Schema:
+    """Return the schema of what the other parts of a path lead to from a part of a record."""
+    if isinstance(part, Columns):
+        columns = part.columns.items()
+        return _object({name: _list(_of_type(OF_KIND.get(each.kind, int), unit=each.unit or ""))
+                        for name, each in columns})  # fmt: skip
+    if isinstance(part, Values):
+        return _object(_of(part))
+    if callable(part):
+        return _of_type(get_type_hints(part).get("return"), others)
+    owner = getattr(kind, part, None)
+    getter = getattr(owner, "fget", None) or getattr(owner, "func", None)
+    hint = get_type_hints(getter)["return"] if getter else get_type_hints(kind)[part]
+    return _of_type(hint, others, _unit_of(kind, part))
 
 
 def _of_fields(kind: Any) -> dict[str, Schema]:
     """Return the schemas of the fields of a record that its repr shows."""
-    names = (each.name for each in fields(kind) if each.repr)
-    return {name: _of_path(kind, name) for name in names}
+    return {each.name: _of_part(kind, each.name) for each in fields(kind) if each.repr}
 
 
 def _of(declared: Values) -> dict[str, Schema]:
     """Return the schemas of the keys of declared values."""
     return {
-        name: _of_type(hint[0]) if hint else _of_path(declared.kind, key)
+        name: _of_type(hint[0]) if hint else _of_type(declared.kind, _way(key))
         for name, (key, *hint) in declared.keys.items()
     }
 
 
-def _of_column(column: Column) -> Schema:
-    unit = _of_type(float, column.unit or "")
-    return {"float": unit, "bool": TRUTH, "str": TEXT, "date": DATE}.get(column.kind, COUNT)
-
-
-def _of_path(kind: Any, key: Attribute | Values | Columns) -> Schema:
-    """Return the schema of a key of a record; a list if a tuple of records is on its path."""
-    if isinstance(key, Columns):
-        columns = key.columns.items()
-        return _object({name: _list(_of_column(each)) for name, each in columns})
+def _way(key: Part) -> Way:
+    """Return the parts of a path; at the end of one to `Values` these themselves."""
     if isinstance(key, Values):
-        one, whole = _object(_of(key)), _of_path(kind, key.path) if key.path else ANY
-        single = _or_null(one) if "anyOf" in whole else one
-        return _list(one) if whole.get("type") == "array" else single
-    if callable(key):
-        return _of_type(get_type_hints(key).get("return"))
-    several, absent, unit = False, False, ""
-    for part in key.split("."):
-        inner = [each for each in get_args(kind) if each not in (types.NoneType, ...)]
-        absent |= types.NoneType in get_args(kind)
-        several |= get_origin(kind) is tuple
-        kind = inner[0] if inner else kind
-        unit, owner = _unit_of(kind, part), getattr(kind, part, None)
-        getter = getattr(owner, "fget", None) or getattr(owner, "func", None)
-        kind = get_type_hints(getter)["return"] if getter else get_type_hints(kind)[part]
-    schema = _of_type(kind, unit)
-    schema = _list(schema) if several else schema
-    return _or_null(schema) if absent else schema
+        return (*_way(key.path), key)
+    return tuple(filter(None, key.split("."))) if isinstance(key, str) else (key,)
 
 
 @functools.cache

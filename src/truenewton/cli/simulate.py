@@ -13,7 +13,7 @@ import typer
 
 from truenewton.cli import options
 from truenewton.cli.terminal import busy, print_result, say, tell
-from truenewton.files.outputs import atomic_outputs, folder_beside, refuse_existing
+from truenewton.files.outputs import folder_beside, refuse_existing
 from truenewton.progress import with_progress
 from truenewton.rounding import counted, table_lines
 
@@ -104,7 +104,7 @@ def run_simulate(
     refuse_existing(output, sealed, overwrite=overwrite)
     if fidelity not in FIDELITIES:
         raise typer.BadParameter(f"there is no fidelity '{fidelity}': static or loop")
-    with busy("simulating"), atomic_outputs():
+    with busy("simulating"):
         bench = bench_of(
             whole_mirror_from(mirror), seed, force_noise=noise, temperature=temperature
         )
@@ -132,9 +132,10 @@ def run_prove(
 
     Exit code 1 if a system does not have full rank or its error exceeds 20 eps cond.
     """
+    from truenewton.files.fits import SUFFIXES
     from truenewton.mirrors.file import mirror_from
     from truenewton.mirrors.known import p45
-    from truenewton.records.file import SUFFIXES, read_layout
+    from truenewton.records.file import read_layout
     from truenewton.studies.proof import proof_rows, proof_values, proof_verdict, prove
 
     if mirror.endswith(SUFFIXES) and Path(mirror).exists():  # P45's numbers on another layout

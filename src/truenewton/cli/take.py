@@ -266,9 +266,10 @@ def run_import(
             raise typer.BadParameter(f"{fault}; give {matrix} alone: it describes the campaign")
         _import_campaign(matrix, output, overwrite=overwrite, json=json, quiet=quiet)
         return
+    from truenewton.files.fits import SUFFIXES
     from truenewton.importers.importing import stiffness_from
     from truenewton.mirrors.file import mirror_from
-    from truenewton.records.file import SUFFIXES, write_stiffness
+    from truenewton.records.file import write_stiffness
 
     options.require_suffix(
         output, SUFFIXES, "stiffness file", "; a campaign is described by `import --example`"
@@ -340,8 +341,9 @@ def _import_campaign(
     path: Path, output: Path | None, *, overwrite: bool, json: bool, quiet: bool
 ) -> None:
     """Write the cycle files of the campaign that a TOML file describes."""
+    from truenewton.files.fits import SUFFIXES
     from truenewton.importers.campaign import campaign_from
-    from truenewton.records.file import SUFFIXES, write_campaign
+    from truenewton.records.file import write_campaign
 
     if output is not None and output.name.endswith(SUFFIXES):
         raise typer.BadParameter("-o must be a folder: a campaign has a file for each cycle")

@@ -13,7 +13,7 @@ import typer
 
 from truenewton.cli import options
 from truenewton.cli.terminal import about, busy, print_result
-from truenewton.files.outputs import atomic_outputs, refuse_existing
+from truenewton.files.outputs import refuse_existing
 from truenewton.rounding import row
 
 if TYPE_CHECKING:
@@ -68,15 +68,15 @@ def run_report(
     from truenewton.report.verdict import headline_of
 
     options.require_suffix(output, (".html", ".htm"), "page")
-    refuse_existing(output, overwrite=overwrite)
     findings: Reported
     with busy("investigating"), about(paths):
         pair = read_compared(*paths, segment=segment)
-        if pair:
+        data = None if pair else read(*paths, segment=segment)
+        refuse_existing(output, overwrite=overwrite)
+        if data is None:
             edges = options.edges_of(mirror, pair[0].layout)
             findings = compare(*pair)
         else:
-            data = read(*paths, segment=segment)
             edges = options.edges_of(mirror, data.layout)
             motion = options.motion_of(mirror, data)
             made = None if calibration is None else read_calibration(calibration)
@@ -107,9 +107,9 @@ def run_figures(
     from truenewton.report.figures import still_figures
     from truenewton.report.findings import investigate, require_calibration
 
-    refuse_existing(output, overwrite=overwrite)
     with busy("drawing"), about(paths):
         data = read(*paths, segment=segment)
+        refuse_existing(output, overwrite=overwrite)
         findings = investigate(data)
         made, more = require_calibration(findings), still_figures(findings)
         written = write_figures(made, output, more=more, numbers=numbers, overwrite=overwrite)
@@ -153,20 +153,20 @@ def run_modes(
     """Find stiffness modes, and how many can be corrected within limits of power or force."""
     from truenewton.calibration.verdict import refuse_unusable
     from truenewton.figures.writing import write_drawn
+    from truenewton.files.fits import SUFFIXES
     from truenewton.modal.figures import modes_figures
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modal_base import Budget
     from truenewton.modal.summary import detail_lines, lines, values
     from truenewton.reading import read_calibration, read_data
-    from truenewton.records.file import SUFFIXES
 
     options.require_suffix(output, SUFFIXES, "modal basis")
     limits = Budget(power, total_power, force)
     atmosphere = _atmosphere(seeing, outer_scale, diameter, efficiency, limits)
-    refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     with busy("reading"):
         data = read_data(*paths, segment=segment)
+    refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     floating = data.layout.ids_of(options.ids(off, "--off"))
     follows = data.layout.ids_of(options.ids(slaved, "--slaved"))
     written: list[Path] = []
@@ -180,12 +180,11 @@ def run_modes(
             efficiency=efficiency, motion=motion, model=options.model_of(mirror, data),
             off=floating, slaved=follows,
         )  # fmt: skip
-        with atomic_outputs():
-            if output is not None:
-                within = limits if diameter else None
-                written += write_modes(found, output, within, overwrite=overwrite)
-            if figures is not None:
-                written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
+        if output is not None:
+            within = limits if diameter else None
+            written += write_modes(found, output, within, overwrite=overwrite)
+        if figures is not None:
+            written += write_drawn(modes_figures(found, limits), figures, overwrite=overwrite)
     shown = list(lines(found, limits))
     if output is not None and not quiet:
         shown.append(ALSO_WRITTEN)

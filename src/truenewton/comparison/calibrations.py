@@ -6,6 +6,7 @@ import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from astropy.table import QTable
@@ -16,34 +17,26 @@ from truenewton.arrays import Array
 from truenewton.calibration.layers import alpha_layer
 from truenewton.calibration.result import Calibration
 from truenewton.chance import FALSE_ALARM, normal_isf
-from truenewton.errors import CampaignMismatch, OutputFailed
+from truenewton.errors import CampaignMismatch
 from truenewton.estimation.findings.estimate import Scale, typical
 from truenewton.figures.layers import Layer
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
 from truenewton.figures.style import ACCENT, FAINT, legend_above, on_screen, styled_axes
 from truenewton.files.format import Column, TableFormat, quantities
-from truenewton.files.outputs import file_beside
 from truenewton.records.file import ID, X, Y
+from truenewton.records.result import OTHER_FORMATS, OtherFormat, write
 from truenewton.statics.layout import Layout
 
 
-def write_table(table: QTable, path: str | os.PathLike[str], *, overwrite: bool) -> None:
-    """Write a table of changes; the name ends in .csv, or in .ecsv, which contains units.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".csv", ".ecsv"):
-        remedy = "let it end in .csv or .ecsv"
-        raise OutputFailed("is no name for a table", remedy=remedy, path=path)
+def write_table(c: Any, path: Path) -> None:
+    """Write the table of changes as .csv, or as .ecsv, which contains units."""
+    table = c.table
     for column in table.itercols():
         column.info.format = None  # all digits
-    with file_beside(path, overwrite=overwrite) as temporary:
-        table.write(temporary, format=f"ascii{suffix}")
+    table.write(path, format=f"ascii{path.suffix.lower()}")
 
 
+TABLES = {".csv": OtherFormat(write_table), ".ecsv": OtherFormat(write_table)}
 CHANGE = TableFormat("CHANGE", (ID, X, Y, Column("CHANGE", "relative"), Column("SIGMAS", "sigmas")))
 
 
@@ -103,7 +96,7 @@ class Change:
         ------
         OutputExists, OutputFailed
         """
-        write_table(self.table, path, overwrite=overwrite)
+        write(self, path, overwrite=overwrite)
 
     @property
     def layers(self) -> tuple[Layer, ...]:
@@ -187,3 +180,6 @@ def compare_calibrations(one: Calibration, other: Calibration) -> Change:
     sigmas[~np.isfinite(sigmas)] = np.nan
     limit = float(normal_isf(FALSE_ALARM / 2 / np.isfinite(relative).sum()))
     return Change(one, other, ratio, ratio_error, relative, sigmas, limit)
+
+
+OTHER_FORMATS[Change] = TABLES

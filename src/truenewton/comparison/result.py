@@ -12,18 +12,17 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.comparison.calibrations import Change, write_table
+from truenewton.comparison.calibrations import TABLES, Change
 from truenewton.comparison.fit import RowNoise
 from truenewton.comparison.pairing import Matching
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding, Verdict, judged
 from truenewton.figures.layers import Layer
 from truenewton.figures.style import on_screen
-from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat, quantities
-from truenewton.records.file import ID, INSTRUMENT, NZ, SUFFIXES, X, Y
-from truenewton.records.result import FORMATS, Result, write
+from truenewton.records.file import ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.result import FORMATS, OTHER_FORMATS, Result
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import OTHER_UNIT
 
@@ -233,20 +232,7 @@ COMPARISON = FileFormat(
 )
 
 
-def comparison_from(file: FitsFile) -> Comparison:
-    """Return the comparison in an open file."""
-    values = file.values(COMPARISON)
-    values["layout"]["enabled"] = file.enabled(values["alpha_ratio"], "compare again")
-    rows = values.pop("matching", {"rows": {}})["rows"]
-    values["matching"] = Matching.of(zip(*rows.values(), strict=True))
-    couplings = values.get("couplings", {}).values()
-    values["couplings"] = tuple(
-        (int(i), int(j), float(size)) for i, j, size in zip(*couplings, strict=True)
-    )
-    return file.filled(Comparison, values)
-
-
-FORMATS[Comparison] = COMPARISON
+FORMATS[Comparison], OTHER_FORMATS[Comparison] = COMPARISON, TABLES
 
 
 def read_comparison(path: str | os.PathLike[str]) -> Comparison:
@@ -267,13 +253,13 @@ def read_comparison(path: str | os.PathLike[str]) -> Comparison:
     >>> tn.read_comparison("change.fits")
     <Comparison of P45: 45 actuators, 0 changed>
     """
-    return comparison_from(read_fits(path))
-
-
-@write.register(Comparison)
-def _write(c: Comparison, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a comparison as FITS, or its table as .csv or .ecsv."""
-    if os.fspath(path).lower().endswith(SUFFIXES):
-        write.dispatch(object)(c, path, overwrite=overwrite)
-    else:
-        write_table(c.table, path, overwrite=overwrite)
+    file = read_fits(path)
+    values = file.values(COMPARISON)
+    values["layout"]["enabled"] = file.enabled(values["alpha_ratio"], "compare again")
+    rows = values.pop("matching", {"rows": {}})["rows"]
+    values["matching"] = Matching.of(zip(*rows.values(), strict=True))
+    couplings = values.get("couplings", {}).values()
+    values["couplings"] = tuple(
+        (int(i), int(j), float(size)) for i, j, size in zip(*couplings, strict=True)
+    )
+    return file.filled(Comparison, values)

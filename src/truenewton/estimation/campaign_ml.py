@@ -181,16 +181,14 @@ def _fit_campaign(screened: ScreenedCampaign, population: bool) -> Estimate:
     """Return the likeliest alpha with the noise of a reading as it is."""
     sound, moments = screened.sound, screened.moments
     refuse(structural_faults(sound, moments))
-    with refusal_naming(lambda: (*screened.suspects, *screened.clipped)):
+    with refusal_naming(lambda: screened.suspects):
         rows = len(screened.rejected) + int(moments.rows.sum())
         refuse_too_many(len(screened.rejected), rows)
         force = moments.sums.force.sum(axis=1) / moments.sums.weight
         errors = {**weight_errors(sound), **errors_between_loads(sound, force)}
         free = problem_of(screened.campaign, screened.noise, errors)
         suspects = check_inputs(screened, free)
-    with refusal_naming(
-        lambda: (*suspects.where_nothing_balances(free, moments).named, *screened.clipped)
-    ):
+    with refusal_naming(lambda: suspects.where_nothing_balances(free, moments).named):
         belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
         free = with_share_in_balance(free, screened, minimum.values[: free.n])
         if free.dependent:
@@ -203,7 +201,7 @@ def _fit_campaign(screened: ScreenedCampaign, population: bool) -> Estimate:
     if not balances:
         suspects = suspects.where_nothing_balances(free, moments)
     wrong = not (balances or suspects.actuators) and bool(suspects.columns)
-    with refusal_naming(lambda: (*suspects.named, *screened.clipped)):
+    with refusal_naming(lambda: suspects.named):
         left, lost = None, tuple[RejectedRow, ...]()
         if not (belongs.all() or patterns.size or wrong):
             left = _examined_whole(problem, minimum, screened)
@@ -228,9 +226,8 @@ def _fit_campaign(screened: ScreenedCampaign, population: bool) -> Estimate:
     error = np.sqrt(np.diag(left.minimum.reading_covariance)[: problem.n])
     alpha = left.minimum.values[: problem.n]
     strange = () if suspects.columns else strange_alphas(screened.campaign, alpha, error)
-    clipped = () if belongs.all() and left.fits else screened.clipped
     found = (_as_known(effect, left) for effect in left.effects)
-    effects = (*suspects.named, *strange, *clipped, *screened.frozen, *found)
+    effects = (*suspects.named, *strange, *screened.frozen, *found)
     effects += tuple(warmer_loads(sound, estimate.scale_errors))
     return replace(estimate.with_warnings(doubts), effects=effects, unseen=unseen)
 

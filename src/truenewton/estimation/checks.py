@@ -65,7 +65,6 @@ class InputChecks:
     actuators: tuple[Finding, ...]
     # Columns of other actuators: by the balance, otherwise by the stiffness of the shapes.
     columns: tuple[Finding, ...]
-    unlike: tuple[Finding, ...] = ()  # files in two groups, each of which repeats
 
     @property
     def named(self) -> tuple[Finding, ...]:
@@ -73,14 +72,12 @@ class InputChecks:
         return (*self.files, *self.actuators, *self.columns)
 
     def where_nothing_balances(self, problem: Problem, moments: Moments) -> InputChecks:
-        """Return these, with files in two groups, or columns that are the same.
+        """Return these, with columns that are the same.
 
         A dead actuator explains the imbalance alone.
         """
         if self.actuators:
             return self
-        if self.unlike:
-            return replace(self, files=self.files + self.unlike, unlike=())
         return replace(self, columns=same_columns(problem, moments) or self.columns)
 
 
@@ -89,7 +86,7 @@ def check_inputs(screened: ScreenedCampaign, problem: Problem) -> InputChecks:
     campaign, moments = screened.campaign, screened.moments
     actuators = constant_actuators(campaign, moments, problem.noise)
     columns = misordered_columns(campaign, moments)
-    return InputChecks(screened.suspects, actuators, columns, screened.unlike)
+    return InputChecks(screened.suspects, actuators, columns)
 
 
 @contextmanager

@@ -37,6 +37,7 @@ from truenewton.files.opening import GZIP, open_plain, refuse_too_large, unpacke
 from truenewton.files.outputs import file_beside
 from truenewton.rounding import listed
 
+SUFFIXES = (".fits", ".fits.gz")
 START = b"SIMPLE"
 BLOCK, CARD = 2880, 80  # bytes
 MAX_COLUMNS = 999  # the standard's limit

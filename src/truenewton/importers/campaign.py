@@ -17,16 +17,16 @@ from truenewton.arrays import Array
 from truenewton.chance import normal_isf
 from truenewton.errors import FormatError, naming
 from truenewton.estimation.findings.code import LIMITS
+from truenewton.files.tables import Item
 from truenewton.files.toml import filled, read_toml
 from truenewton.importers.inputs import written_date
 from truenewton.importers.selection import (
     Surface,
     in_metres,
     read_positions,
-    require_numbers,
     there_is,
 )
-from truenewton.importers.stored import Item, Stored, read_stored
+from truenewton.importers.stored import Stored, read_stored
 from truenewton.quantities import in_unit, in_units
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import ASSUMED, Cycle
@@ -38,7 +38,7 @@ from truenewton.records.tables import (
     wide_rows,
 )
 from truenewton.rounding import listed
-from truenewton.statics.layout import Layout, layout
+from truenewton.statics.layout import Layout
 from truenewton.statics.load import MIRROR_WEIGHT, Load
 
 MIN_CHANCE = 1e-3  # of numbers that look like others
@@ -173,7 +173,7 @@ def _layout_from(folder: Path, given: PositionsFile) -> tuple[Layout, tuple[str,
     with naming(path):
         at = in_metres(read_positions(path), given)
         notes = at.notes if at.ids is not None else (*at.notes, BY_LINE)
-        made = layout(at.x, at.y, id=at.ids, nz=at.nz, enabled=at.enabled, segment=at.segment)
+        made = at.layout()
         if made.has_texts:
             notes = (*notes, "IDs are texts (NUMBER): numbered from 1 in this order")
         if made.segments:
@@ -286,7 +286,7 @@ def _arrays_from(
             item = _matrix_in(stored, wanted, actuators, by_line)
         else:
             item = _column_in(stored, wanted)
-        values[name] = item.values if name == "actuator" else require_numbers(item, str(wanted))
+        values[name] = item.values if name == "actuator" else item.numbers(str(wanted))
         if name in MATRICES and _thousands(values[name]):
             doubted.append(name)
         if unit := item.unit or getattr(described.units, name, ""):
@@ -311,8 +311,9 @@ def _column_in(stored: Stored, wanted: str | int) -> Item:
             f" the file has {listed(filter(None, stored.every), 12)}",
         )
     name, unit = known
-    values = np.atleast_1d(np.squeeze(stored.every[name].values))  # there may be one row
-    return Item(values, stored.every[name].unit or unit)
+    item = stored.every[name]
+    values = np.atleast_1d(np.squeeze(item.values))  # there may be one row
+    return item._replace(values=values, unit=item.unit or unit)
 
 
 def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout, by_line: bool) -> Item:
@@ -331,9 +332,8 @@ def _matrix_in(stored: Stored, wanted: str | int, actuators: Layout, by_line: bo
         if by_line:
             refuse_other_order([name for name in stored.columns if name in names], actuators)
         items = [_column_in(stored, name) for name in names]
-        for name, item in zip(names, items, strict=True):
-            require_numbers(item, name)
-        return Item(np.stack([item.values for item in items], axis=1), items[0].unit)
+        values = [item.numbers(name) for name, item in zip(names, items, strict=True)]
+        return Item(np.stack(values, axis=1), items[0].unit)
     item = _column_in(stored, wanted)
     if item.values.ndim != 2 or item.values.shape[1] != n:
         raise FormatError(

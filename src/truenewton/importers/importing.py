@@ -34,14 +34,14 @@ from truenewton.importers.inputs import (
     numbers_of,
     read_given,
 )
-from truenewton.importers.selection import MAX_NAMED, Positions, Surface, in_newton_per_metre
+from truenewton.importers.selection import MAX_NAMED, Surface, in_newton_per_metre
 from truenewton.importers.stored import read_stored
 from truenewton.quantities import taking_units
 from truenewton.records.stiffness_matrix import StiffnessMatrix, StoredAs
-from truenewton.records.tables import numbers_of_labels
+from truenewton.records.tables import Positions, numbers_of_labels
 from truenewton.rounding import listed, named, percent
 from truenewton.statics.arms import comparable_arms
-from truenewton.statics.layout import Layout, integers_or_texts, layout
+from truenewton.statics.layout import Layout, integers_or_texts
 
 PathLike = str | os.PathLike[str]
 MIN_ORDER_SHARE = 0.2  # of the couplings, explained by distance
@@ -206,9 +206,7 @@ def _checked(
     if not np.isfinite(k).all():
         k, said = _without_nan(k, positions)
         noted.append(("unread", said))
-    of = layout(
-        positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
-    )
+    of = replace(positions, segment=None).layout()
     stored = replace(stored, rows=np.flatnonzero(~lost))
     record = StiffnessMatrix(name, when, of, k, mirror=mirror or None, stored=stored)
     share = MIN_ORDER_SHARE if mirror is None else MIN_EXPLAINED_COUPLING

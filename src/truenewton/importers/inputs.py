@@ -19,18 +19,17 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, naming
+from truenewton.files.tables import Item, plain, text_of, without_group
 from truenewton.importers.selection import (
-    Positions,
     Surface,
     in_metres,
     matrix_in,
     positions_in,
-    positions_of,
     read_positions,
 )
-from truenewton.importers.stored import Item, Stored, plain, read_stored, text_of
+from truenewton.importers.stored import Stored, read_stored
 from truenewton.records.file import FOREIGN_MATRIX
-from truenewton.records.tables import ID_NAMES, without_group
+from truenewton.records.tables import ID_NAMES, Positions, positions_from
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout, ring_of
 
@@ -153,6 +152,18 @@ def _ids_in(stored: Stored, n: int) -> tuple[NDArray[np.int64] | None, str]:
     return None, ""
 
 
+class Places(NamedTuple):
+    """Positions, as given or as found in a folder; their file, and a text on how they were found.
+
+    If their file is in the supervisor's order of rings, ``by_ring`` are those of the channels.
+    """
+
+    found: Any = None
+    file: Path | None = None
+    how: str = ""
+    by_ring: Positions | None = None
+
+
 def _in_folder(
     given: Path, coordinates: Any, mirror: Rings | None, dataset: str | None, surface: Surface
 ) -> Given:
@@ -162,38 +173,45 @@ def _in_folder(
     item, which = matrix_in(stored, dataset)
     own = Path(coordinates) if isinstance(coordinates, str | os.PathLike) else None
     conf = own if own is not None and own.is_dir() else None
-    file, found = (own, coordinates) if conf is None else (None, None)
-    if file is not None:
-        found = read_positions(file)
-    kind, how, channels, by_ring = "opticalib's configuration", "", None, None
-    folders = dict.fromkeys(each for each in (conf, path, given) if each is not None)
-    trees, numbers = {each: _tree_of(each) for each in folders}, None
-    files, used = _files_in(trees), mirror if found is None else None
+    trees = {each: _tree_of(each) for each in dict.fromkeys((conf, path, given)) if each}
+    files = _files_in(trees)
+    if conf is not None:
+        places = Places()
+    else:
+        places = Places(coordinates) if own is None else Places(read_positions(own), own)
+    kind, channels, numbers = "opticalib's configuration", None, None
+    used = mirror if places.found is None else None
     if (path / CHANNELS).is_file():
         kind, channels = "a supervisor's folder", channels_of(path)
         numbers = find_file(NUMBERS, trees)
-        if found is None:
-            found, file, how = places_of(trees, mirror, channels, files)
-        elif file is not None:
-            every, found = found, of_channels(found, channels, file)
-            if found is not every and numbers is not None:
-                by_ring = of_channels(every, numbers_of(channels, numbers), file)
-    elif found is None:
-        file = find_file(OPTICALIB_POSITIONS, trees)
-        used = mirror if file is None else None
-        found = read_positions(file) if file is not None else mirror and mirror.layout
+        if places.found is None:
+            places = places_of(trees, mirror, channels, files)
+        elif places.file is not None:
+            places = _of_matrix(places.found, places.file, channels, numbers)
+    elif places.found is None and (file := find_file(OPTICALIB_POSITIONS, trees)) is not None:
+        places, used = Places(read_positions(file), file), None
+    elif mirror is not None and used is not None:
+        places = Places(mirror.layout)
+    found, file, how, by_ring = places
     if isinstance(found, Positions) and file is not None and file.name == POSITIONS:
         found, surface = replace(found, unit=found.unit or "mm"), replace(surface, arc=True)
     where = os.fspath(file or "")
-    positions, by_ring = (_in_metres(each, where, surface) for each in (found, by_ring))
-    if by_ring is not None:
-        by_ring = replace(by_ring, notes=(f"in the order of {NUMBERS}", *by_ring.notes))
-    if positions is not None and how:
-        positions = replace(positions, notes=(how, *positions.notes))
+    positions = _in_metres(found, where, surface, how)
+    by_ring = _in_metres(by_ring, where, surface, f"in the order of {NUMBERS}")
     return Given(
         item, which, stored, f", {kind}", os.fspath(path), positions, where, channels,
         by_ring=by_ring, mirror=used, found=files, numbers=numbers,
     )  # fmt: skip
+
+
+def _of_matrix(
+    every: Positions, file: Path, channels: NDArray[np.int64], numbers: Path | None
+) -> Places:
+    """Return the positions of (m,) channels in a file, which may be in the order of rings."""
+    found, by_ring = of_channels(every, channels, file), None
+    if found is not every and numbers is not None:
+        by_ring = of_channels(every, numbers_of(channels, numbers), file)
+    return Places(found, file, by_ring=by_ring)
 
 
 def folder_of_matrix(folder: Path) -> Path:
@@ -230,18 +248,22 @@ def _files_in(trees: Trees) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _in_metres(found: Any, path: str, surface: Surface) -> Positions | None:
-    """Return positions in metres, of those in a file, a layout, an array, or None."""
+def _in_metres(found: Any, path: str, surface: Surface, how: str = "") -> Positions | None:
+    """Return positions in metres, of those in a file, a layout, an array, or None.
+
+    A text on how they were found becomes the first of the notes.
+    """
     if found is None:
         return None
     if isinstance(found, Layout):
         note = f"those of the layout, NZ {found.nz.min():.4f} .. {found.nz.max():.4f}"
-        return Positions(found.x, found.y, "m", found.id, found.nz, found.enabled, notes=(note,))
-    with naming(path or "positions"):
-        if not isinstance(found, Positions):
-            values = np.asarray(plain(getattr(found, "value", found)), dtype=float)
-            found = positions_of(Item(values, str(getattr(found, "unit", "") or "")))
-        return in_metres(found, surface)
+        at = Positions(found.x, found.y, "m", found.id, found.nz, found.enabled, notes=(note,))
+    else:
+        with naming(path or "positions"):
+            at = in_metres(
+                found if isinstance(found, Positions) else positions_from(found), surface
+            )
+    return replace(at, notes=(how, *at.notes)) if how else at
 
 
 def _tree_of(folder: Path) -> dict[str, list[Path]]:
@@ -303,14 +325,13 @@ def places_of(
     mirror: Rings | None,
     channels: NDArray[np.int64],
     files: Sequence[str],
-) -> tuple[Positions | Layout, Path | None, str]:
-    """Return positions of (m,) channels, their file, and a text on how they were found."""
+) -> Places:
+    """Return the positions of (m,) channels."""
     if mirror is None and (given := find_file(POSITIONS, trees)) is not None:
-        places = of_channels(read_positions(given), channels, given)
-        return places, given, ""
+        return Places(of_channels(read_positions(given), channels, given), given)
     numbers, folder = find_file(NUMBERS, trees), next(iter(trees))
     if numbers is None and mirror is not None:
-        return mirror.layout, None, ""
+        return Places(mirror.layout)
     if numbers is None:
         raise NoPositions(
             f"contains no positions of its channels, but {', '.join(files)}",
@@ -338,7 +359,8 @@ def places_of(
         )
     at = supervisor_order(every)[mine]
     of = layout(every.x[at], every.y[at], nz=every.nz[at], id=channels)
-    return of, numbers, "by the rings " + ("of the mirror" if mirror is not None else f"of {SHELL}")
+    rings = "the mirror" if mirror is not None else SHELL
+    return Places(of, numbers, f"by the rings of {rings}")
 
 
 def numbers_of(channels: NDArray[np.int64], path: Path) -> NDArray[np.int64]:

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import astropy.units as u
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.estimation.matrix.order import refuse_no_stiffness
-from truenewton.importers.stored import NUMBER, Item, Stored, read_stored
-from truenewton.records.tables import ID_NAMES, LENGTHS, name_and_unit, without_group
-from truenewton.statics.layout import integers_or_texts
+from truenewton.files.tables import Item, without_group
+from truenewton.importers.stored import Stored, read_stored
+from truenewton.records.tables import Positions, positions_by_columns, positions_of
 
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
 POSITION_NAMES = ("coordinates", "coords", "act_coordinates", "act_coord", "positions", "xy")
-USED = ("x", "y", "nz", "enabled", "segment", *ID_NAMES)  # columns of positions
-POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
 MAX_NAMED = 12  # arrays, columns or actuators in a line
 MAX_COORDINATE = 1e12  # in any unit: a larger one is not a position
 # Distance of the farthest actuator from the mean position, by unit.
@@ -31,41 +25,6 @@ LIKELY_SIZES = {"m": (0.02, 5.0), "mm": (40.0, 5e3), "um": (2e4, 5e6)}
 LIKELY_STIFFNESS = (2e4, 1e9)  # median diagonal element of a mirror [N/m]
 MAX_ELEMENT = 1e30  # element in any unit
 NOMINAL_STIFFNESS = 1e6  # median diagonal element of a matrix of unknown unit [N/m]
-
-
-@dataclass(frozen=True, eq=False)
-class Positions:
-    """Positions as in a file, or in metres.
-
-    Attributes
-    ----------
-    x, y, unit
-        (n,) in a unit; '' if the file declares none.
-    ids, nz, enabled, segment
-        (n,) or None; IDs are integers or texts, NZ is the cosine between force and +z.
-    columns
-        Names of all columns of numbers in the file, if they have names.
-    notes
-        Texts on what was found and done.
-    """
-
-    x: Any
-    y: Any
-    unit: str = ""
-    ids: NDArray[Any] | None = None
-    nz: Any = None
-    enabled: NDArray[np.bool_] | None = None
-    segment: NDArray[np.int64] | None = None
-    columns: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    def part(self, rows: Any) -> Positions:
-        """Return the positions of some rows."""
-        some: dict[str, Any] = {
-            name: None if (values := getattr(self, name)) is None else np.asarray(values)[rows]
-            for name in ("x", "y", "nz", "ids", "enabled", "segment")
-        }
-        return replace(self, **some)
 
 
 def _squeezed(stored: Stored) -> dict[str, Item]:
@@ -120,7 +79,7 @@ def positions_in(stored: Stored) -> Positions | None:
     with naming(stored.path or None):
         every = _squeezed(stored)
         vectors = {name: item for name, item in every.items() if item.values.ndim == 1}
-        named = _by_columns({**vectors, **stored.columns})
+        named = positions_by_columns({**vectors, **stored.columns})
         if named is not None:
             return named
         arrays = {name: item for name, item in every.items() if item.values.ndim == 2}
@@ -133,88 +92,6 @@ def positions_in(stored: Stored) -> Positions | None:
             several = f"several arrays may be positions: {', '.join(fitting)}"
             raise FormatError(several, remedy=remedy)
         return positions_of(next(iter(fitting.values())))
-
-
-def positions_of(item: Item) -> Positions:
-    """Return positions of an (n, 2) or (2, n) array, or of columns ID, X, Y."""
-    values = item.values
-    if values.ndim != 2 or (2 not in values.shape and 3 not in values.shape):
-        raise FormatError(
-            f"contains an array of shape {values.shape}, which are no positions",
-            remedy="give (n, 2) or (2, n), or columns named X and Y",
-        )
-    if values.shape[1] not in (2, 3) or (values.shape[0] in (2, 3) and values.shape[1] > 3):
-        values = values.T
-    if values.shape[1] == 3:
-        first = values[:, 0]
-        if not _integers(first) or np.unique(first).size != first.size:
-            raise FormatError(
-                "has three columns without names, the first no numbers of actuators",
-                remedy="name them in the first line: X, Y, NZ or ID, X, Y",
-            )
-        return Positions(values[:, 1], values[:, 2], item.unit, ids=first.astype(np.int64))
-    return Positions(values[:, 0], values[:, 1], item.unit)
-
-
-def _by_columns(columns: Mapping[str, Item]) -> Positions | None:
-    """Return positions from columns named X and Y, with ID, NZ and ENABLED if they exist."""
-    known: dict[str, Item] = {}
-    for name, item in columns.items():
-        plain, unit = _axis_and_unit(without_group(name))
-        if plain in USED and plain in known:
-            some = [n for n in columns if _axis_and_unit(without_group(n))[0] == plain]
-            fault = f"several columns may be {plain.upper()}: {', '.join(some)}"
-            raise FormatError(fault, remedy="keep one of them")
-        known[plain] = Item(item.values, item.unit or unit)
-    if "x" not in known or "y" not in known:
-        if POLAR[0].intersection(known) and POLAR[1].intersection(known):
-            raise FormatError(
-                f"contains polar coordinates, {' and '.join(columns)}",
-                remedy="give X and Y, both in a unit of length",
-            )
-        return None
-    x, y = known["x"], known["y"]
-    named = [known[name].values for name in ID_NAMES if name in known]
-    ids = [each for each in named if each.dtype.kind == "U" or _integers(each)]
-    nz, enabled, segment = (known.get(name) for name in ("nz", "enabled", "segment"))
-    for name in set(USED[:5]).intersection(known):
-        require_numbers(known[name], name.upper())
-    if y.unit != x.unit:
-        raise FormatError(f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit")
-    return Positions(
-        x.values,
-        y.values,
-        x.unit,
-        integers_or_texts(ids[0]) if ids else None,
-        None if nz is None else nz.values,
-        None if enabled is None else enabled.values != 0,
-        None if segment is None else segment.values.astype(np.int64),
-        tuple(columns),
-    )
-
-
-def _axis_and_unit(name: str) -> tuple[str, str]:
-    """Return axis, or name, and unit of a column, from names as 'x [mm]', 'X_mm', 'pos_x'."""
-    plain, unit = name_and_unit(name.lower())
-    if match := re.fullmatch(rf"(.+?)_({LENGTHS})", plain):
-        plain, unit = match.groups()
-    for word in ("pos", "position", "coord", "coordinate", "act", "actuator"):
-        for axis in "xy":
-            if re.sub(r"[\s_]", "", plain) in (axis + word, word + axis):
-                return axis, unit
-    return plain.strip(" _[]()"), unit
-
-
-def require_numbers(item: Item, name: str) -> NDArray[np.float64]:
-    """Return the (...,) numbers of a column; raise FormatError if it contains words."""
-    if item.values.dtype.kind == "U":
-        word = next(text for text in item.values.ravel().tolist() if not NUMBER.fullmatch(text))
-        raise FormatError(f"column {name} contains '{word}'", remedy="give numbers in it")
-    return item.values
-
-
-def _integers(values: Any) -> bool:
-    return bool(np.isfinite(values).all() and (values == np.round(values)).all())
 
 
 def _none_square(stored: Stored) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import os
-import warnings
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +11,9 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, naming
-from truenewton.files.fits import read_fits, refuse_doubles
+from truenewton.files.fits import SUFFIXES, read_fits
 from truenewton.files.format import Column, FileFormat, TableFormat
-from truenewton.files.opening import read_text
+from truenewton.files.tables import Item, table_in, text_of
 from truenewton.files.toml import check_keys, filled, read_toml
 from truenewton.mirrors.glass import Outline, check_shell
 from truenewton.mirrors.known import GRAVITY, KNOWN, Mirror, MirrorNumbers, mirror
@@ -28,10 +26,11 @@ from truenewton.mirrors.shell.mesh import (
 )
 from truenewton.mirrors.shell.round_shell import MIN_HOLE
 from truenewton.mirrors.shell.shell_model import tool_wedges
-from truenewton.quantities import check_quantities, in_unit
-from truenewton.records.file import SUFFIXES, read_layout
-from truenewton.rounding import counted, listed
-from truenewton.statics.layout import Layout, layout
+from truenewton.quantities import check_quantities
+from truenewton.records.file import read_layout
+from truenewton.records.tables import layout_of, positions_from
+from truenewton.rounding import counted
+from truenewton.statics.layout import Layout
 
 MAX_WEIGHT_RATIO = 3.0  # and its inverse, to the weight of glass and magnets
 OUTLINE = FileFormat(
@@ -46,7 +45,6 @@ OUTLINE = FileFormat(
         ),
     )
 )
-TRUTHS = {"true": True, "1": True, "false": False, "0": False}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,9 +184,8 @@ def layout_in(path: Path) -> Layout:
     """
     if str(path).endswith(SUFFIXES):
         return read_layout(path)
-    columns = _columns_in(path, "actuators", ("ID", "NZ", "ENABLED"))
     with naming(path):
-        return layout(**{name.lower(): cells for name, cells in columns.items()})
+        return layout_of(table_in(text_of(path)).columns)
 
 
 def outline_in(path: Path) -> list[list[list[float]]]:
@@ -201,80 +198,20 @@ def outline_in(path: Path) -> list[list[list[float]]]:
         values = read_fits(path).values(OUTLINE)
         x, y, loops = (np.asarray(values[name]) for name in ("x", "y", "loop"))
     else:
-        columns = _columns_in(path, "points", ("LOOP",))
         with naming(path):
-            x, y = (np.asarray(in_unit(columns[name], "m", name)) for name in ("X", "Y"))
-        loops = np.asarray(columns.get("LOOP", np.zeros(len(x), dtype=int)))
+            columns = table_in(text_of(path)).columns
+            at = positions_from(columns)
+            x, y, others = at.x, at.y, Item(np.zeros(len(at.x)))
+            loops = columns.get("LOOP", others).numbers("LOOP", finite=True)
     numbers = np.unique(loops)
     if not np.array_equal(numbers, np.arange(numbers.size)) or not numbers.size:
         raise FormatError(
-            f"LOOP contains {', '.join(map(str, numbers)) or 'nothing'}",
+            f"LOOP contains {', '.join(f'{number:g}' for number in numbers) or 'nothing'}",
             remedy="number the points of the edge 0, those of the holes 1, 2, ...",
             path=path,
         )
     places = np.stack([x, y], axis=1)
     return [places[loops == number].tolist() for number in numbers]
-
-
-def _columns_in(path: Path, what: str, optional: tuple[str, ...]) -> dict[str, Any]:
-    """Return X, Y and the optional columns of a CSV or ECSV table; ECSV may have units."""
-    from astropy.table import QTable
-
-    form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
-    lines = read_text(path).splitlines()
-    head = next(csv.reader(line for line in lines if line.strip() and line[0] != "#"), [])
-    with naming(path):  # astropy gives the second another name
-        refuse_doubles([name.strip() for name in head], "columns")
-    # astropy warns of overflows; the resulting values are refused below.
-    try:
-        with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
-            table = QTable.read(lines, format=form, guess=False)
-    except Exception as error:
-        raise FormatError(
-            f"is not a table of {what} ({error})",
-            remedy="write columns X and Y as CSV or ECSV, lengths in metres",
-            path=path,
-        ) from error
-    numbers = [k for k, line in enumerate(lines, 1) if line.strip() and line[0] != "#"][1:]
-    names = [f"line {k}" for k in numbers]
-    if len(names) != len(table):  # of a cell in quotes with line breaks, as an example
-        names = [f"row {k}" for k in range(1, len(table) + 1)]
-    with naming(path):
-        for name in "XY":
-            if name not in table.colnames:
-                has = listed([f"'{column}'" for column in table.colnames], 4)
-                raise FormatError(
-                    f"lacks column '{name}'; it has {has}",
-                    remedy="name the columns X and Y in the first line, in metres, with commas"
-                    " between; or name the FITS file that `truenewton import` makes of a matrix"
-                    " and positions as they are",
-                )
-        some = ("X", "Y", *(name for name in optional if name in table.colnames))
-        return {name: _checked_cells(table[name], name, names) for name in some}
-
-
-def _checked_cells(cells: Any, name: str, rows: list[str]) -> Any:
-    """Return a column; refuse its first cell that is empty or of another kind."""
-    empty = np.broadcast_to(getattr(cells, "mask", False), len(cells)).tolist()
-    values = np.asarray(cells).tolist()
-    for value, is_empty, row in zip(values, empty, rows, strict=True):
-        if name == "ENABLED":
-            valid, remedy = str(value).lower() in TRUTHS, "write true or false, or 1 or 0"
-        elif name in ("ID", "LOOP"):
-            valid, remedy = type(value) is int, "give an integer"
-        else:
-            valid, remedy = _is_finite(value), "give a number"
-        if is_empty or not valid:
-            said = "empty" if is_empty else repr(value)[:60]
-            raise FormatError(f"{row}: {name} is {said}", remedy=remedy)
-    return [TRUTHS[str(value).lower()] for value in values] if name == "ENABLED" else cells
-
-
-def _is_finite(value: Any) -> bool:
-    try:
-        return bool(np.isfinite(float(value)))
-    except ValueError:
-        return False
 
 
 # -- checks -----------------------------------------------------------------------------------

@@ -231,6 +231,10 @@ def _costs(findings: ModalFindings) -> Iterator[tuple[Dissipation, Dissipation |
     yield from zip(after, before, strict=True)
 
 
+def _comparison(findings: ModalFindings) -> ModesComparison | None:
+    return findings.comparison if findings.compares else None
+
+
 VALUES = Values(
     ModalFindings, ("instrument", "after.matrix.instrument"), ("date", "after.matrix.date"),
     ("method", "calibration.method"), ("scale", "calibration.scale"),
@@ -247,7 +251,7 @@ VALUES = Values(
     ("sensor_offset", "after.stiffness.enabled_offset"),
     ("uncalibrated_modes", Values(
         ModesComparison, "distance", "overlap", "orders", "largest_angle",
-        path=lambda f: f.comparison if f.compares else None,
+        path=_comparison,
     )),
     ("warnings", lambda f: [[each.fault, each.remedy] for each in f.warnings]),
 )  # fmt: skip

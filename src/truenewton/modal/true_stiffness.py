@@ -402,7 +402,7 @@ def static_force(
 ) -> Array:
     """Return the (n,) true static forces of the enabled actuators: weight, bias, flattening [N].
 
-    They come from the (n,) commanded forces at rest [N] (`MotionReader.force_at_rest`), otherwise
+    They come from the (n,) commanded forces at rest [N] (`MotionSums.force_at_rest`), otherwise
     from weight and bias of the calibration, otherwise they are 0. The load of actuators that are
     off is carried by the smallest forces of the others.
     """

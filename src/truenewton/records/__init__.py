@@ -5,7 +5,7 @@ campaign          cycles of one mirror that are calibrated together
 stiffness_matrix  a measured stiffness: commanded force per displacement
 segmented         the data of one segment of a mirror
 result            what all results have in common; their columns and files
-tables            cycles from arrays and long tables
+tables            positions and cycles from arrays and tables
 file              cycle and stiffness files
 reader            data at paths: campaigns and stiffness matrices
 """

@@ -120,7 +120,7 @@ class Campaign:
         ... )
         <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
         """
-        actuators = layout_of(positions, enabled, units.get("positions"))
+        actuators = layout_of(positions, enabled, units.get("positions", ""))
         if actuators.segments:
             raise CampaignMismatch(
                 f"the layout has {len(actuators.segments)} segments, which balance separately",

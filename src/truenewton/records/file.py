@@ -13,7 +13,7 @@ from typing import Any
 
 from truenewton.errors import FormatError, UnreadableFile, naming
 from truenewton.files.content import PRIMARY, FitsFile
-from truenewton.files.fits import read_fits, write_fits
+from truenewton.files.fits import SUFFIXES, read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import folder_beside
 from truenewton.records.cycle import Cycle, Segment, Source, check_segments, sums_of
@@ -21,7 +21,6 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix, StoredAs
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
-SUFFIXES = (".fits", ".fits.gz")
 FOREIGN_MATRIX = "ff_matrix.fits"  # of a supervisor, which `import` reads
 INSTRUMENT = Keyword("INSTRUME", "instrument", "mirror", kind="str")
 ID = Column("ID", "layout.id", kind="int")

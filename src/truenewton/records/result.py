@@ -9,13 +9,25 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from functools import singledispatch
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from truenewton.files.fits import write_fits
+from truenewton.errors import OutputFailed
+from truenewton.files.fits import SUFFIXES, write_fits
 from truenewton.files.format import FileFormat
+from truenewton.files.outputs import file_beside
 from truenewton.rounding import html_table, row, wrapped
 
-FORMATS: dict[type, FileFormat] = {}  # of the file of each class of results
+
+class OtherFormat(NamedTuple):
+    """A format that is not FITS: what writes it, and what it contains and lacks of a result."""
+
+    write: Callable[[Any, Path], None]
+    lacks: str = ""
+
+
+FORMATS: dict[type, FileFormat] = {}  # of the FITS file of each class of results
+OTHER_FORMATS: dict[type, dict[str, OtherFormat]] = {}  # by the end of the name
 
 
 class Summary(NamedTuple):
@@ -45,10 +57,28 @@ def figures_of(result: Any) -> dict[str, Callable[..., Any]]:
     raise TypeError(f"there are no figures of {result!r}")
 
 
-@singledispatch
+def format_of(kind: type, path: str | os.PathLike[str] | None) -> OtherFormat | None:
+    """Return the format of a class of results that a name ends in, None for FITS or no name.
+
+    Raises OutputFailed for another end if the class has several formats.
+    """
+    others = OTHER_FORMATS.get(kind, {}) if path is not None else {}
+    endings = (*(SUFFIXES if kind in FORMATS else ()), *others)
+    found = [end for end in endings if Path(path or "").name.lower().endswith(end)]
+    if others and not found:
+        fault = f"is no name for a {kind.__name__.lower()}"
+        raise OutputFailed(fault, remedy=f"let it end in {', '.join(endings)}", path=path)
+    return others.get(found[0]) if found else None
+
+
 def write(result: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a result as FITS."""
-    write_fits(path, FORMATS[type(result)], result, overwrite=overwrite)
+    """Write a result in the format that the name ends in."""
+    other = format_of(type(result), path)
+    if other is None:
+        write_fits(path, FORMATS[type(result)], result, overwrite=overwrite)
+        return
+    with file_beside(path, overwrite=overwrite) as temporary:
+        other.write(result, temporary)
 
 
 class Summarised:

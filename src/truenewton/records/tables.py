@@ -1,19 +1,19 @@
-"""Cycles from arrays and from long tables, as programs and laboratories have them."""
+"""Positions and cycles from arrays and tables, as programs and laboratories have them."""
 
 from __future__ import annotations
 
 import datetime
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.errors import Fault, FormatError, GeometryError, naming
-from truenewton.files.fits import refuse_doubles
-from truenewton.quantities import in_unit
+from truenewton.files.tables import LENGTHS, Item, columns_in, name_and_unit, without_group
+from truenewton.quantities import in_unit, numbers_of, unit_of
 from truenewton.records.cycle import ARRAYS, ASSUMED, Cycle
 from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, integers_or_texts, layout
@@ -24,10 +24,8 @@ OF_CYCLE = (*ARRAYS, "date", "number")
 MATRICES = ("force", "position")  # with a value for each actuator
 ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
             "channel", "channels", "chan", "ch", "name", "label")  # fmt: skip
-LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
-UNIT = re.compile(
-    rf"(.+?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b((?i:{LENGTHS})|[kmun]?N|m?s|K|deg_C)[\])]?"
-)
+USED = ("x", "y", "nz", "enabled", "segment", *ID_NAMES)  # columns of positions
+POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
 LABEL = re.compile(r"([^\W\d]*)[ _-]?(\d+)")  # a number with a word before it, as F17
 MAX_DIGITS = 4  # of an ID with zeros before it, as F0017
 # Thickness of a disc of glass as large and heavy as the mirror, magnets included: 3 to 3.5 mm for
@@ -36,33 +34,148 @@ GLASS_DENSITY = 2530.0  # [kg/m3]
 LIKELY_THICKNESS, POSSIBLE_THICKNESS = (3e-4, 0.03), (3e-6, 3.0)  # [m]
 
 
-def layout_of(positions: Any, enabled: Any = None, unit: str | None = None) -> Layout:
-    """Return a layout, or that of (n,) x and y, of (n, 2) positions [m], or of columns x, y, id."""
-    if isinstance(positions, Layout):
-        return positions if enabled is None else replace(positions, enabled=enabled)
-    every = columns_in(positions)
-    if "x" in every and "y" in every:
-        named = ("nz", "enabled", "segment", *ID_NAMES)
-        found = {name: positions[every[name][0]] for name in named if name in every}
-        ids = next((found.pop(name) for name in ID_NAMES if name in found), None)
-        x, y = (
-            in_unit(positions[of], "m", f"positions, column {of}", has=unit or own or None)
-            for of, own in (every["x"], every["y"])
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Positions as in a file, or in metres.
+
+    Attributes
+    ----------
+    x, y, unit
+        (n,) in a unit; '' if the file declares none.
+    ids, nz, enabled, segment
+        (n,) or None; IDs are integers or texts, NZ is the cosine between force and +z.
+    columns
+        Names of all columns of numbers in the file, if they have names.
+    notes
+        Texts on what was found and done.
+    """
+
+    x: Any
+    y: Any
+    unit: str = ""
+    ids: NDArray[Any] | None = None
+    nz: Any = None
+    enabled: NDArray[np.bool_] | None = None
+    segment: NDArray[np.int64] | None = None
+    columns: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def part(self, rows: Any) -> Positions:
+        """Return the positions of some rows."""
+        some: dict[str, Any] = {
+            name: None if (values := getattr(self, name)) is None else np.asarray(values)[rows]
+            for name in ("x", "y", "nz", "ids", "enabled", "segment")
+        }
+        return replace(self, **some)
+
+    def layout(self) -> Layout:
+        """Return the actuators, at places in metres if there is no unit."""
+        x, y = (in_unit(each, "m", "positions", has=self.unit or None) for each in (self.x, self.y))
+        others = {"id": self.ids, "nz": self.nz, "enabled": self.enabled, "segment": self.segment}
+        return layout(x, y, **others)
+
+
+def positions_of(item: Item) -> Positions:
+    """Return positions of an (n, 2) or (2, n) array, or of columns ID, X, Y."""
+    values = item.values
+    if values.ndim != 2 or (2 not in values.shape and 3 not in values.shape):
+        raise FormatError(
+            f"contains an array of shape {values.shape}, which are no positions",
+            remedy="give (n, 2) or (2, n), or columns named X and Y",
         )
-        others = {name: found[name] for name in ("nz", "enabled", "segment") if name in found}
-        others |= {} if enabled is None else {"enabled": enabled}
-        return layout(x, y, id=ids, **others)
-    if every and np.asarray(positions).dtype.kind not in "fiu":
-        fault = f"positions have no columns x and y, but {listed(positions)}"
-        raise FormatError(fault, remedy="name two of them x and y")
-    if len(positions) != 2:
-        positions, unit = np.asarray(in_unit(positions, "m", "positions", has=unit)), None
-        if positions.shape[1:] != (2,):
-            remedy = "give a pair (x, y), (n, 2) positions, or a layout"
-            raise FormatError(f"positions have the shape {positions.shape}", remedy=remedy)
-        positions = positions.T
-    x, y = (in_unit(each, "m", "positions", has=unit) for each in positions)
-    return layout(x, y, enabled=enabled)
+    if values.shape[1] not in (2, 3) or (values.shape[0] in (2, 3) and values.shape[1] > 3):
+        values = values.T
+    if values.shape[1] == 3:
+        first = values[:, 0]
+        if not _integers(first) or np.unique(first).size != first.size:
+            raise FormatError(
+                "has three columns without names, the first no numbers of actuators",
+                remedy="name them in the first line: X, Y, NZ or ID, X, Y",
+            )
+        return Positions(values[:, 1], values[:, 2], item.unit, ids=first.astype(np.int64))
+    return Positions(values[:, 0], values[:, 1], item.unit)
+
+
+def positions_by_columns(columns: Mapping[str, Item]) -> Positions | None:
+    """Return positions from columns named X and Y, with ID, NZ and ENABLED if they exist."""
+    known: dict[str, Item] = {}
+    for name, item in columns.items():
+        plain, unit = _axis_and_unit(without_group(name))
+        if plain in USED and plain in known:
+            some = [n for n in columns if _axis_and_unit(without_group(n))[0] == plain]
+            fault = f"several columns may be {plain.upper()}: {', '.join(some)}"
+            raise FormatError(fault, remedy="keep one of them")
+        known[plain] = item._replace(unit=item.unit or unit)
+    if "x" not in known or "y" not in known:
+        if POLAR[0].intersection(known) and POLAR[1].intersection(known):
+            raise FormatError(
+                f"contains polar coordinates, {' and '.join(columns)}",
+                remedy="give X and Y, both in a unit of length",
+            )
+        return None
+    x, y = known["x"], known["y"]
+    if y.unit != x.unit:
+        raise FormatError(f"X is in '{x.unit}' and Y in '{y.unit}'", remedy="give both in one unit")
+    nz, enabled, segment = (
+        known[name].numbers(name.upper()) if name in known else None
+        for name in ("nz", "enabled", "segment")
+    )
+    named = {name: known[name].values for name in ID_NAMES if name in known}
+    ids = [v for name, v in named.items()
+           if name == "id" or np.asarray(v).dtype.kind != "f" or _integers(v)]  # fmt: skip
+    return Positions(
+        x.numbers("X"),
+        y.numbers("Y"),
+        x.unit,
+        integers_or_texts(ids[0]) if ids else None,
+        nz,
+        None if enabled is None else np.asanyarray(enabled) != 0,
+        None if segment is None else np.asanyarray(segment).astype(np.int64),
+        tuple(columns),
+    )
+
+
+def _axis_and_unit(name: str) -> tuple[str, str]:
+    """Return axis, or name, and unit of a column, from names as 'x [mm]', 'X_mm', 'pos_x'."""
+    plain, unit = name_and_unit(name.lower())
+    if match := re.fullmatch(rf"(.+?)_({LENGTHS})", plain):
+        plain, unit = match.groups()
+    for word in ("pos", "position", "coord", "coordinate", "act", "actuator"):
+        for axis in "xy":
+            if re.sub(r"[\s_]", "", plain) in (axis + word, word + axis):
+                return axis, unit
+    return plain.strip(" _[]()"), unit
+
+
+def _integers(values: Any) -> bool:
+    exact = np.abs(values) < 2.0**53  # as all integers below it; not NaN or inf
+    return bool(exact.all() and (values == np.round(values)).all())
+
+
+def positions_from(given: Any, unit: str = "") -> Positions:
+    """Return the positions in columns x and y, in a pair (x, y), or in an array."""
+    if isinstance(given, tuple | list) and len(given) == 2:
+        at: Positions | None = Positions(*given)
+    else:
+        columns = {name: given[name] for name, _ in columns_in(given).values()}
+        items = {name: c if isinstance(c, Item) else Item(c) for name, c in columns.items()}
+        at, table = positions_by_columns(items), isinstance(given, Mapping)
+        if at is None and (table or (columns and np.asarray(given).dtype.kind not in "fiu")):
+            fault = f"positions have no columns x and y, but {listed(columns) or 'no names'}"
+            raise FormatError(fault, remedy="name two columns x and y")
+    if at is None:
+        values = numbers_of(getattr(given, "value", given), "positions", float)
+        return positions_of(Item(values, str(unit_of(given) or unit)))
+    own = any(unit_of(each) is not None for each in (at.x, at.y))
+    has = unit or at.unit
+    x, y = (in_unit(each, "m", "positions", has=has or None) for each in (at.x, at.y))
+    return replace(at, x=x, y=y, unit="m" if has or own else "")
+
+
+def layout_of(positions: Any, enabled: Any = None, unit: str = "") -> Layout:
+    """Return a layout, or that of positions, which are in metres if they have no unit."""
+    made = positions if isinstance(positions, Layout) else positions_from(positions, unit).layout()
+    return made if enabled is None else replace(made, enabled=enabled)
 
 
 def size_doubt(actuators: Layout, weight: float) -> Fault | None:
@@ -89,40 +202,6 @@ def _size(actuators: Layout, weight: float) -> tuple[float, float]:
     radius = float(np.hypot(actuators.x, actuators.y).max())
     own = float(np.hypot(actuators.x - actuators.x.mean(), actuators.y - actuators.y.mean()).max())
     return radius, abs(weight) / (GRAVITY * GLASS_DENSITY * np.pi * max(own, 1e-9) ** 2)
-
-
-def columns_in(table: Any) -> dict[str, tuple[str, str]]:
-    """Return the columns of a table or dictionary by name; also in lower case, without the unit.
-
-    Each is the name in the table, and the unit in it or ''. There are none in other data. A name of
-    HDF5 or MATLAB is found without its group or struct, too. A short name that two columns have
-    finds none.
-    """
-    every = getattr(table, "columns", table if isinstance(table, Mapping) else ())
-    names = [name for name in every if isinstance(name, str)]
-    pandas = hasattr(table, "iloc")  # its read_csv calls the second of two columns F1 'F1.1'
-    refuse_doubles([name.removesuffix(".1") if pandas else name for name in names], "columns")
-    known, found = {name: name_and_unit(name) for name in names}, dict[str, set[str]]()
-    for name, (plain, _) in known.items():
-        for short in (name, plain, without_group(name)):
-            found.setdefault(short.casefold(), set()).add(name)
-    alone = {short: name for short, (name, *others) in found.items() if not others}
-    every_name = alone | {name: name for name in names}
-    return {short: (name, known[name][1]) for short, name in every_name.items()}
-
-
-def without_group(name: str) -> str:
-    """Return the name of an array without its group in HDF5 or struct in MATLAB."""
-    return re.split(r"[/.]", name)[-1]
-
-
-def name_and_unit(name: str) -> tuple[str, str]:
-    """Return name and unit of a column, from names as 'force [mN]', 'x / mm', 'x (mm)', 'x mm'."""
-    match = UNIT.fullmatch(name.strip())
-    if not match:
-        return name.strip(), ""
-    lower = match[2].lower()
-    return match[1], lower if lower in LENGTHS.split("|") else match[2]
 
 
 def columns_by_id(template: str, actuators: Layout, there: Collection[str]) -> list[str]:

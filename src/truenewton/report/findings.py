@@ -21,6 +21,7 @@ from truenewton.arrays import Array, spread
 from truenewton.calibration.methods import (
     calibrate,
     calibration_of,
+    disabled,
     estimate_alpha,
     refusals,
     resolve_method,
@@ -35,6 +36,7 @@ from truenewton.errors import (
     TrueNewtonError,
     UnknownName,
 )
+from truenewton.estimation.campaign_ml import fit_campaign
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.findings.finding import as_sentences
 from truenewton.estimation.matrix.facts import MatrixFacts
@@ -106,7 +108,8 @@ def campaign_evidence(screened: ScreenedCampaign, calibration: Calibration) -> E
     """Return the evidence of a campaign for its calibration."""
     campaign = screened.campaign
     a, on = enabled_arms(campaign.layout), campaign.layout.enabled
-    scaled_arms = a * calibration.alpha[on]
+    alpha = _alpha_of_all(screened, calibration)
+    scaled_arms = a * alpha
     valid = np.concatenate([c.valid for c in campaign.cycles])
     cycle = np.repeat(np.arange(len(campaign.cycles)), [c.valid.sum() for c in campaign.cycles])
     balancing = without(campaign, list(calibration.rejected_rows))
@@ -127,7 +130,7 @@ def campaign_evidence(screened: ScreenedCampaign, calibration: Calibration) -> E
         s = imbalance_covariance(scaled_arms, variance)
         variance = variance * np.mean(squared_distances(after, weight, s)[kept]) / 3
     problem = problem_of(screened.sound, replace(noise, variance=variance))
-    share = with_share_in_balance(problem, screened, calibration.alpha[on]).noise.share
+    share = with_share_in_balance(problem, screened, alpha).noise.share
     s, s_before = (share * imbalance_covariance(each, variance) for each in (scaled_arms, a))
     readings = np.sqrt(variance * moments.typical_variance)
     return Evidence(
@@ -146,6 +149,15 @@ def campaign_evidence(screened: ScreenedCampaign, calibration: Calibration) -> E
         singular_values=np.sqrt(balance_spectrum(centred_means(moments), a, variance)),
         in_noise=noise.source != NoiseSource.MINIMUM,
     )
+
+
+def _alpha_of_all(screened: ScreenedCampaign, calibration: Calibration) -> Array:
+    """Return (n,) alpha; that of actuators without one, whose FORCE is not 0, is fitted again."""
+    alpha = calibration.alpha[screened.campaign.layout.enabled]
+    if np.isnan(alpha).any():
+        fitted = fit_campaign(screened).values[: alpha.size]
+        alpha = np.where(np.isnan(alpha), fitted, alpha)
+    return alpha
 
 
 def _imbalance(
@@ -339,6 +351,8 @@ def investigate(
         refuse_other_mirror(calibration, data, "the data", "the calibration", OWN_CALIBRATION)
     if isinstance(data, Calibration):
         return Findings(data, data)
+    off = calibration.layout.id[~calibration.layout.enabled].tolist() if calibration else []
+    data = disabled(data, off)
     method, options = resolve_method(data, method, population=population, motion=motion)
     modes = partial(find_modes, diameter=diameter, efficiency=efficiency, accept_rejected=True)
     screened: ScreenedCampaign | None = None

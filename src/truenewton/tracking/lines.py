@@ -297,7 +297,8 @@ def _outlying_actuators(
         return total
 
     def off(log_variance: float) -> float:
-        return float(np.log(np.median(shares(log_variance)[stay]) / middle))
+        share = float(np.median(shares(log_variance)[stay]))
+        return float(np.log(max(share / middle, 1e-300)))  # 0 if the days are equal
 
     size = np.mean(np.einsum("pii->pi", covariance)) / np.mean(np.sum(shift**2, axis=1))
     low, high = np.log(1e-6 * size), np.log(1e12 * size)

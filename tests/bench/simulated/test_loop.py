@@ -8,7 +8,6 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
 
 from helpers.shells import condense, influence
-from studies.closed_loop import settling_time, step_responses
 from truenewton.bench.simulated.loop import (
     CREEP_TIMES,
     MAX_DRIFT,
@@ -294,13 +293,3 @@ def test_a_record_taken_too_soon_has_not_settled(p45_loop, p45_shapes):
     soft = p45_shapes[:, 3:4]  # 1 um
     assert not record(p45_loop, soft, LOAD, settling=0.5e-3, samples=512).settled
     assert record(p45_loop, soft, LOAD, samples=512).settled
-
-
-def test_soft_middle_and_stiff_modes_settle_in_one_and_a_half_and_in_less_than_one_ms(p45_loop):
-    steps = step_responses(p45_loop, p45_parts()[0])
-    soft, middle, stiff = 1e3 * settling_time(steps.time, steps.position, 0.1)
-    assert 1.2 < soft < 1.8
-    assert 0.5 < stiff < middle < 1.0
-    assert steps.position.max() < 1.05
-    assert steps.stiffness == pytest.approx([4632, 6.92e5, 2.23e6], rel=0.01)
-    assert steps.position[0] == pytest.approx(0.0, abs=1e-9)

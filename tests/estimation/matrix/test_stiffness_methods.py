@@ -1,8 +1,6 @@
 """Relative alpha from simulated stiffness matrices, and from one of a real mirror."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from astropy.table import QTable
 from helpers.balanced import START, p45_bench, p45_matrix
 from studies.matrices import without_polynomial
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import RankDeficient, TrueNewtonWarning
+from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.modes import (
@@ -19,14 +17,8 @@ from truenewton.estimation.matrix.modes import (
     rms_imbalance,
 )
 from truenewton.estimation.matrix.screen import screen_matrix
-from truenewton.reading import read_data
 from truenewton.records.cycle import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-
-REAL = os.environ.get("TRUENEWTON_REAL_DATA")
-needs_real_data = pytest.mark.skipif(
-    REAL is None, reason="TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set"
-)
 
 
 @pytest.mark.parametrize("method", ["svd", pytest.param("ml", marks=pytest.mark.study)])
@@ -94,19 +86,6 @@ def test_a_matrix_of_low_rank_or_of_noise_is_refused():
         calibrate(replace(matrix, stiffness=noise))
 
 
-def test_a_transposed_matrix_is_rejected():
-    """Its alpha is that of the sensors: wrong by 10 %, with a stated error of 0.05 %."""
-    matrix, _ = p45_matrix(0.0)
-    assert screen_matrix(matrix).effects == ()
-    turned = replace(matrix, stiffness=matrix.stiffness.T)
-    [effect] = screen_matrix(turned).effects
-    assert effect.code == Code.TRANSPOSED_STIFFNESS
-    assert "[i, j], the force of actuator i per displacement of sensor j" in effect.remedy
-    with pytest.warns(TrueNewtonWarning, match="transposed stiffness"):
-        made = calibrate(turned, "svd")
-    assert made.verdict.level == "rejected"
-
-
 def test_a_rigid_body_residual_that_gains_explain_is_only_a_warning():
     """If forces are already calibrated, sensor gains scatter more than alpha. This is no fault."""
     noisy, truth = p45_matrix()
@@ -126,41 +105,36 @@ def test_imbalance_is_the_rms_over_modes_and_equations():
 
 
 @pytest.mark.study
-@needs_real_data
-def test_on_a_real_lbt672_alpha_restores_balance():
-    matrix = read_data(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")
-    all_modes, odd, even = calibrate(matrix, "svd").imbalances
+def test_on_a_real_lbt672_alpha_restores_balance(real_matrix):
+    all_modes, odd, even = calibrate(real_matrix, "svd").imbalances
     assert all_modes.before == pytest.approx(0.0564, rel=0.01)
     assert all_modes.after == pytest.approx(0.0091, rel=0.01)
     assert (odd.before, odd.after) == pytest.approx((0.0513, 0.0354), rel=0.02)
     assert (even.before, even.after) == pytest.approx((0.0611, 0.0253), rel=0.02)
-    facts = MatrixFacts.of(matrix)
+    facts = MatrixFacts.of(real_matrix)
     modes, a = facts.elastic_modes.forces.T, facts.arms
     assert len(modes) == 641
     _, values = balance_modes(modes, a)
     assert values[1] / values[0] == pytest.approx(11.7, rel=0.01)  # alpha is determined
-    codes = [each.code for each in calibrate(matrix, "svd").diagnosis.warnings]
+    codes = [each.code for each in calibrate(real_matrix, "svd").diagnosis.warnings]
     assert codes == [Code.NEGATIVE_MODES_IN_NOISE]
 
 
 @pytest.mark.study
-@needs_real_data
-def test_on_a_real_lbt672_a_population_prior_predicts_held_out_modes():
+def test_on_a_real_lbt672_a_population_prior_predicts_held_out_modes(lbt672_folder, real_matrix):
     """Alpha agrees with the independently measured efficiency of the magnets.
 
     The population prior shrinks differences between neighbours, which lowers the correlation.
     """
-    folder = Path(REAL) / "lbt672"
-    matrix = read_data(folder / "lbt672-feedforward.fits")
-    table = QTable.read(folder / "lbt672-tables.ecsv")
-    assert np.array_equal(table["ID"], matrix.layout.id)
-    efficiency = without_polynomial(np.log(table["MAGNET_EFFICIENCY"]), matrix.layout)
-    plain, pooled = (calibrate(matrix, "ml", population=each) for each in (False, True))
+    table = QTable.read(lbt672_folder / "lbt672-tables.ecsv")
+    assert np.array_equal(table["ID"], real_matrix.layout.id)
+    efficiency = without_polynomial(np.log(table["MAGNET_EFFICIENCY"]), real_matrix.layout)
+    plain, pooled = (calibrate(real_matrix, "ml", population=each) for each in (False, True))
     _, odd, even = pooled.imbalances
     assert odd.after <= 0.026
     assert even.after <= 0.022
     for calibration, correlation in ((plain, -0.70), (pooled, -0.69)):
-        apart = without_polynomial(calibration.alpha, matrix.layout)
+        apart = without_polynomial(calibration.alpha, real_matrix.layout)
         assert np.corrcoef(apart, efficiency)[0, 1] <= correlation
         codes = {each.code for each in calibration.diagnosis.warnings}
         assert codes == {Code.COLUMN_NOISE_NOT_INDEPENDENT, Code.NEGATIVE_MODES_IN_NOISE}

@@ -6,7 +6,7 @@ from unittest import mock
 
 import numpy as np
 
-from helpers.thresholds import below_and_above, outcome
+from helpers.thresholds import between, outcome
 from truenewton.bench.simulated.static import static_bench
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix import (
@@ -284,8 +284,4 @@ CASES = [
     ("SPURIOUS_FACTOR", noisy_columns, 1.26, "accepted", 1.28, "refused"),
 ]  # fmt: skip
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

@@ -5,7 +5,7 @@ from unittest import mock
 
 import numpy as np
 
-from helpers.thresholds import below_and_above, outcome
+from helpers.thresholds import between, outcome
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.reciprocity import matrix, noise, regression
 from truenewton.estimation.reciprocity.acceptance import Evidence, refusals
@@ -104,8 +104,4 @@ CASES = [
     ("SURE_ERROR_RATIO", lambda x: of_errors(0.5, x), 0.029, True, 0.031, False),
 ]  # fmt: skip
 
-
-@below_and_above(CASES)
-def test_a_threshold_is_between(function, below, at_below, above, at_above):
-    assert function(below) == at_below
-    assert function(above) == at_above
+test_a_threshold_is_between = between(CASES)

@@ -36,13 +36,13 @@ from truenewton.bench.simulated.truth import SegmentTruth, Truth
 from truenewton.errors import BenchFault, GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
-from truenewton.mirrors.shell.dynamics import moving_mass
 from truenewton.mirrors.shell.shell_model import (
     ExternalForces,
     ShellModel,
     external_resultants,
     forces_under,
     model_shell,
+    moving_mass,
     static_shapes,
     weight_on,
 )

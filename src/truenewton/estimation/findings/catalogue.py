@@ -63,7 +63,6 @@ ORDER_OF_BOTH = "put the columns of FORCE and POSITION in the order of the ACTUA
 _GRADIENTS = (
     "do not rely on large-scale gradients of alpha. Cycles under known weights constrain them"
 )
-_FROZEN_ROWS = "leave the file out, or mark the rows that repeat the previous row as not VALID"
 _LABELS = "correct SHAPE and SIGN of the file, or leave it out"
 
 _NAMED_AS_THEIR_CODE = (
@@ -87,8 +86,9 @@ ENTRIES: dict[Code, Entry] = {
     Code.UNKNOWN_EFFECT: Entry(
         "unknown effect, most similar to {}",
         remedy="look at the residuals in `truenewton report` for rows, files or actuators that do"
-        " not fit. Possible causes, besides {detail}: FORCE of another row or actuator, shapes that"
-        " differ between files, noise that grows with the force, a wrong FORCERR or label",
+        " not fit. Possible causes, besides {detail}: FORCE of another row or actuator, readings"
+        " that end at a limit, shapes or mirrors that differ between files, noise that grows with"
+        " the force, a wrong FORCERR or label",
     ),
     Code.NOISE_BY_FORCE: Entry(
         "noise in proportion to the force", level=Level.USABLE, remedy="average more readings"
@@ -135,12 +135,6 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.SAME_READINGS: _of_input("two columns of FORCE are the same", "check their channels"),
     Code.ORDER_OF_POSITION: _of_input("order of FORCE is not that of POSITION", ORDER_OF_BOTH),
-    Code.TWO_MIRRORS: _of_input(
-        "two groups of files with different FORCE for the same SHAPE",
-        "calibrate one of them alone, or correct the cause. Possible causes: two mirrors, another"
-        " list of shapes, an actuator that was replaced, 1.234 for 1234 in the source of FORCE, or"
-        " rows without their load (mark them as not VALID)",
-    ),
     Code.CONSTANT_POSITION: _of_input(
         "POSITION is the same in all rows",
         "if no sensors were read, remove the column. COILGRAD and BIASGRAD are then not used",
@@ -149,12 +143,6 @@ ENTRIES: dict[Code, Entry] = {
     Code.SIGN_REVERSED: _of_rows("SIGN reversed", _LABELS),
     Code.SHAPE_OFFSET: _of_rows("SHAPE numbered from another start", _LABELS),
     Code.OTHER_LABELS: _of_rows("SHAPE and SIGN label other rows", _LABELS),
-    Code.FROZEN_READING: _of_rows("frozen reading", f"{_FROZEN_ROWS}. Check its electronics"),
-    Code.FROZEN_READINGS: _of_rows("frozen readings", _FROZEN_ROWS),
-    Code.CLIPPED_READINGS: _of_rows(
-        "readings cut off at a limit",
-        "use smaller shapes, or mark the rows that reach the limit as not VALID",
-    ),
     Code.ASYMMETRIC_STIFFNESS: _of_input("asymmetric stiffness"),
     Code.NEGATIVE_STIFFNESS: Entry("stiffness of the other sign", level=Level.USABLE),
     Code.DISORDERED_STIFFNESS: _of_input("coordinates in another order than STIFFNESS"),

@@ -64,16 +64,12 @@ class Code(StrEnum):
     OTHER_ROW = "other-row"
     SAME_READINGS = "same-readings"
     ORDER_OF_POSITION = "order-of-position"
-    TWO_MIRRORS = "two-mirrors"
     CONSTANT_POSITION = "constant-position"
     UNUSABLE_CALIBRATION = "unusable-calibration"
     # Rows that are not what their labels say.
     SIGN_REVERSED = "sign-reversed"
     SHAPE_OFFSET = "shape-offset"
     OTHER_LABELS = "other-labels"
-    FROZEN_READING = "frozen-reading"
-    FROZEN_READINGS = "frozen-readings"
-    CLIPPED_READINGS = "clipped-readings"
     # A stiffness matrix as a whole.
     ASYMMETRIC_STIFFNESS = "asymmetric-stiffness"
     NEGATIVE_STIFFNESS = "negative-stiffness"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -73,31 +73,12 @@ def moments_of(rows: Rows, step: Array | float = 0.0) -> tuple[Moments, Scatter]
 class Prints:
     """One row of a file under each of some labels, as recorded, in the order of the file.
 
-    They show copies, frozen readings and rounding: corrected for displacements, no row repeats to
+    They show copies and rounding: corrected for displacements, no row repeats to
     the last bit.
     """
 
     codes: NDArray[np.int64]  # (m,) labels, SHAPE times SIGN
     force: Array  # (m, n) [N]
-
-    @cached_property
-    def longest(self) -> NDArray[np.int64]:
-        """(n,) how many rows after each other repeat the reading before, bit by bit."""
-        run = longest = np.zeros(self.force.shape[1], dtype=np.int64)
-        for repeated in self.force[1:] == self.force[:-1]:
-            run = np.where(repeated, run + 1, 0)
-            longest = np.maximum(longest, run)
-        return longest
-
-    @cached_property
-    def limit(self) -> Array:
-        """(n,) largest magnitude of a reading [N]."""
-        return np.asarray(np.abs(self.force).max(axis=0, initial=0.0))
-
-    @cached_property
-    def at_limit(self) -> NDArray[np.int64]:
-        """(n,) how many of the rows have it."""
-        return np.asarray(np.count_nonzero(np.abs(self.force) == self.limit, axis=0))
 
 
 def prints_of(campaign: Campaign) -> tuple[Prints, ...]:

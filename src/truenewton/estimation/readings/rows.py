@@ -163,13 +163,9 @@ class Rows:
             yield rows, mean, force - mean
 
 
-def rows_of(campaign: Campaign, reference: Array | None = None) -> Rows:
-    """Return the valid rows of a campaign as they balance.
-
-    Displacements count from the (n,) reference [m], the `common_reference` of the campaign unless
-    given.
-    """
-    reference = common_reference(campaign) if reference is None else reference
+def rows_of(campaign: Campaign) -> Rows:
+    """Return the valid rows of a campaign as they balance."""
+    reference = common_reference(campaign)
     a = enabled_arms(campaign.layout)
     force, known = zip(*(balanced(cycle, a, reference) for cycle in campaign.cycles), strict=True)
     return grouped(campaign, force, known, reference)

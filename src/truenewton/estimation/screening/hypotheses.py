@@ -1,4 +1,4 @@
-"""Whether a file is what it claims to be: its unit, signs, columns, labels, load and origin.
+"""Whether a file is what it claims to be: its unit, signs, columns, labels, load and readings.
 
 A shape costs the same forces in every file, whatever the load, and moves the sensors by the same
 amount. So rows of each file under the same label (SHAPE times SIGN), minus their mean, are equal
@@ -363,46 +363,12 @@ def rest_by_file(moments: Moments, within: WithinGroups) -> Array | None:
     return np.asarray((vectors[:, 1:] / values[1:]) @ (vectors[:, 1:].T @ apart))
 
 
-# --- origin ---------------------------------------------------------------------------------------
+# --- copies ---------------------------------------------------------------------------------------
 
-MIN_GROUP_DIFFERENCE = 0.02  # of two groups of files, relative to their size
-MIN_DIFFERENCE_OF_REPEATING_FILES = 0.08  # the same if each file repeats
 MIN_IDENTICAL_FRACTION = 0.2  # of the rows compared that are identical
 MIN_IDENTICAL_FRACTION_OF_STEPS = 0.9  # of them, if readings are multiples of a step
 FINEST_NOISE = 1e-5  # relative to the forces: less may be rounding of the numbers
 MIN_RATIO_TO_OTHER_FILES = 4.0  # relative to the files under one load that share the fewest
-
-
-def unlike_files(
-    campaign: Campaign, prints: Sequence[Prints], least: float = MIN_GROUP_DIFFERENCE
-) -> tuple[Finding, ...]:
-    """Return the fewer of files that form two groups, as those of two mirrors or days do.
-
-    The groups differ by ``least`` of their size.
-    """
-    rows = _centred(common_rows(prints))
-    if len(rows) < 3 or rows.shape[1] < MIN_SHARED_LABELS:
-        return ()
-    distance = np.zeros((len(rows), len(rows)))
-    for one, other in combinations(range(len(rows)), 2):
-        distance[one, other] = distance[other, one] = _apart(rows[one], rows[other])
-    lot = clusters(distance, 2)
-    if lot is None or distance[lot[:, None] != lot].min() < least:
-        return ()
-    fewer = lot == np.bincount(lot).argmin()
-    few, most = (named_files(campaign, np.flatnonzero(some)) for some in (fewer, ~fewer))
-    where, size = f"{few} against {most}", float(fewer.mean())
-    return (Finding(code=Code.TWO_MIRRORS, where=where, size=size),)
-
-
-def _apart(rows: Array, others: Array) -> float:
-    """Return the typical difference of the columns of (m, n) rows from others, relative.
-
-    A common gain does not count, nor does the difference of a few columns.
-    """
-    gain = float(np.sum(rows * others) / max(np.sum(others**2), 1e-300))
-    size = np.maximum(_square(gain * others), 1e-300)
-    return float(np.sqrt(np.median(_square(rows - gain * others) / size)))
 
 
 def copied_files(

@@ -1,4 +1,4 @@
-"""Outlying rows are left out, and files and readings checked.
+"""Outlying rows are left out, and files checked.
 
 A row is an outlier if its reading of one actuator is far from the mean of the others of its group.
 The worst row of each group is removed first, the scatter is estimated again, until no outlier is
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, chi2_ppf, normal_isf, t_isf
 from truenewton.errors import TooManyOutliers, TrueNewtonError
-from truenewton.estimation.findings.code import LIMITS, Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding, about_actuators
 from truenewton.estimation.readings.moments import (
@@ -42,14 +42,12 @@ from truenewton.estimation.readings.repeats import (
 )
 from truenewton.estimation.readings.rows import Rows, rest_positions, rows_of
 from truenewton.estimation.screening.hypotheses import (
-    MIN_DIFFERENCE_OF_REPEATING_FILES,
     columns_of_other_rows,
     compare_files,
     copied_files,
     mislabelled_files,
     mislabelled_rows,
     named_files,
-    unlike_files,
 )
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import percent
@@ -75,11 +73,7 @@ class ScreenedCampaign:
         Array  # (m, n) deviations of some rows from the others of their groups [N], see `Scatter`
     )
     structure: Structure | None  # test of these repeats; None if not possible
-    suspects: tuple[Finding, ...] = ()  # files that are not what they claim, frozen readings
-    # readings that end at a limit: a fault if the data do not fit
-    clipped: tuple[Finding, ...] = ()
-    # files that form two groups, as of two mirrors: a fault if nothing balances
-    unlike: tuple[Finding, ...] = ()
+    suspects: tuple[Finding, ...] = ()  # files that are not what they claim
     # sensors that read the same in all rows; their displacement is 0
     frozen: tuple[Finding, ...] = ()
 
@@ -98,9 +92,7 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
         *copied_files(campaign, prints, in_steps=bool(np.any(step))),
         *mislabelled_files(campaign, repeats.moments),
         *columns_of_other_rows(campaign, repeats.moments),
-        *frozen_readings(campaign, prints),
     )
-    clipped = clipped_readings(campaign, prints)
     refusal: TooManyOutliers | None = None
     try:
         repeats, sound, rejected = _left_out(repeats, campaign, accidents=True)
@@ -118,15 +110,16 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
             if refusal is not None and gross:
                 raise refusal
         except TooManyOutliers as error:
-            suspects += () if apart else _relabelled(campaign, prints, range(len(campaign)))
-            suspects = suspects or louder_with_force(campaign, prints)
-            raise with_suspects(error, suspects + clipped) from None
+            suspects += () if apart else mislabelled_rows(campaign, range(len(campaign)))
+            if not (suspects or error.path):  # of all files
+                suspects = louder_with_force(campaign, prints)
+            raise with_suspects(error, suspects) from None
     lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign))
     valid = np.array([cycle.valid.sum() for cycle in campaign.cycles])
     affected = np.flatnonzero(lost > np.maximum(2, SYSTEMATIC_FRACTION * valid)).tolist()
-    suspects += () if apart else _relabelled(campaign, prints, affected)
+    suspects += mislabelled_rows(campaign, affected) if affected and not apart else ()
     # Rounding is no normal noise, and files that are not what they claim make noise of their own.
-    louder = () if suspects or np.any(step) else louder_with_force(campaign, prints)
+    louder = () if suspects or np.any(step) else louder_with_force(sound, prints_of(sound))
     suspects += louder
     moments, frozen = repeats.moments, tuple[Finding, ...]()
     moments = replace(moments, by_force=sum(each.size for each in louder))
@@ -136,11 +129,6 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
         displacement[:, still_sensors(campaign).any(axis=0)] = 0.0
         moments = replace(moments, displacement=displacement)
     moments, structure = pooled_where_it_fits(moments, noise, repeats.scatter.samples)
-    unlike = (
-        ()
-        if len(suspects) > len(louder)
-        else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
-    )
     return ScreenedCampaign(
         campaign,
         sound,
@@ -150,8 +138,6 @@ def screen_campaign(campaign: Campaign) -> ScreenedCampaign:
         repeats.scatter.samples,
         structure,
         suspects,
-        clipped,
-        unlike,
         frozen,
     )
 
@@ -195,15 +181,6 @@ def noise_by_force(campaign: Campaign, prints: Sequence[Prints]) -> float:
 
 def _some(values: Array) -> Array:
     return np.maximum(values, 1e-300)
-
-
-def _relabelled(
-    campaign: Campaign, prints: Sequence[Prints], files: Sequence[int]
-) -> tuple[Finding, ...]:
-    """Return why rows of some files differ: their labels, or the origin of the files."""
-    if not files:
-        return ()
-    return mislabelled_rows(campaign, files) or unlike_files(campaign, prints)
 
 
 def with_suspects(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNewtonError:
@@ -264,13 +241,9 @@ def _displacement(rows: Rows, campaign: Campaign) -> Array | None:
     return rows.means(displaced, len(rows.reference))
 
 
-def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
-    """Return the moments of all valid rows of a campaign or a part of it.
-
-    ``reference`` is the (n,) zero of displacements [m]: for a part, the `common_reference` of the
-    campaign. If it is NaN, a part must contain whole cycles.
-    """
-    return moments_of(rows_of(campaign, reference), step_of(prints_of(campaign)))[0]
+def campaign_moments(campaign: Campaign) -> Moments:
+    """Return the moments of all valid rows of a campaign."""
+    return moments_of(rows_of(campaign), step_of(prints_of(campaign)))[0]
 
 
 def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
@@ -351,68 +324,7 @@ def refuse_too_many(rejected: int, rows: int) -> None:
 
 
 MIN_ROWS_OF_NOISE, LARGEST_DEVIATION = 8, 5.0  # of each file; in standard deviations
-MIN_FROZEN_ROWS = 3  # consecutive, at least
-MIN_FROZEN_FRACTION = 0.1  # of the rows of a file, consecutive
-
-
-def frozen_readings(campaign: Campaign, prints: Sequence[Prints]) -> Iterator[Finding]:
-    """Yield readings that do not change from shape to shape in a file, while others do.
-
-    Readings that are constant in all files are those of `checks.constant_actuators`.
-    """
-    whole = [each.longest == len(each.codes) - 1 for each in prints if each.codes.size]
-    constant = np.logical_and.reduce(whole)
-    for cycle, each in zip(campaign.cycles, prints, strict=True):
-        if not each.codes.size:
-            continue
-        still, share = _stand_still(each), each.longest / len(each.codes)
-        frozen = np.flatnonzero(still & ~constant)
-        if still.all() and not constant.all():
-            where, size = f"all actuators in {cycle.name}", float(share.min())
-            yield Finding(code=Code.FROZEN_READINGS, where=where, size=size)
-        elif frozen.size <= max(1, LIMITS.bad_fraction * still.size):
-            for i in frozen.tolist():
-                where, size = f"{{}} in {cycle.name}", float(share[i])
-                yield about_actuators(campaign.layout, Code.FROZEN_READING, [i], where, size=size)
-
-
-def _stand_still(prints: Prints) -> NDArray[np.bool_]:
-    """Return which (n,) readings of a file are frozen, but not at a limit of several."""
-    longest, common = prints.longest, _at_common_limit(prints)
-    at_limit = common & (np.count_nonzero(common) > 1) & (prints.at_limit > longest)
-    least = max(MIN_FROZEN_ROWS, MIN_FROZEN_FRACTION * len(prints.codes))
-    return np.asarray((longest >= least) & ~at_limit)
-
-
-def _at_common_limit(prints: Prints) -> NDArray[np.bool_]:
-    """Return which (n,) readings of a file reach the largest of all."""
-    return np.asarray(prints.limit == prints.limit.max(initial=0.0))
-
-
-def clipped_readings(campaign: Campaign, prints: Sequence[Prints]) -> tuple[Finding, ...]:
-    """Return readings that end at a limit, which several shapes reach to the last bit.
-
-    If the force ends there as well, a limit is no fault: it is one if data do not fit.
-    """
-    clipped, largest = np.zeros(int(campaign.layout.enabled.sum()), dtype=bool), 0.0
-    for each in prints:
-        count, common = each.at_limit, _at_common_limit(each)
-        here = (count >= MIN_FROZEN_ROWS) | (common & (count[common].sum() >= MIN_FROZEN_ROWS))
-        here &= (each.limit > 0.0) & ~_stand_still(each)
-        clipped |= here
-        largest = max(largest, float(each.limit[here].max(initial=0.0)))
-    if not clipped.any() or _few_valued(next(each for each in prints if each.codes.size)):
-        return ()
-    where, size = f"{{}}, at {largest:.4g} N", float(clipped.mean())
-    return (about_actuators(campaign.layout, Code.CLIPPED_READINGS, clipped, where, size=size),)
-
-
-def _few_valued(prints: Prints) -> bool:
-    """Return whether readings have only few values, as if shapes are commanded in levels."""
-    ordered = np.sort(np.abs(prints.force), axis=0)
-    rest = ordered < ordered[-1:]
-    distinct = (np.diff(ordered, axis=0) > 0.0) & rest[1:]
-    return bool(np.median(distinct.sum(axis=0) / np.maximum(rest.sum(axis=0), 1)) < 0.5)
+MIN_STILL_ROWS = 3  # of a file, all of which have the same reading of a sensor
 
 
 def still_sensors(campaign: Campaign) -> NDArray[np.bool_]:
@@ -423,7 +335,7 @@ def still_sensors(campaign: Campaign) -> NDArray[np.bool_]:
     still = [
         (cycle.stroke == 0.0)
         & (cycle.position is not None)
-        & (np.count_nonzero(cycle.valid) >= MIN_FROZEN_ROWS)
+        & (np.count_nonzero(cycle.valid) >= MIN_STILL_ROWS)
         for cycle in campaign.cycles
     ]
     return np.array([each & ~each.all() for each in still])

@@ -1,7 +1,6 @@
 """The elastic shell between its actuators.
 
-shell_model       forces that hold a mirror's shell, influence functions, stiffness
-dynamics          mass that moves with the glass
+shell_model       forces that hold a mirror's shell, influence functions, stiffness, moving mass
 round_shell       thin annular shell: Fourier series in angle, p-elements in radius
 radial_elements   its elastic energy, harmonic by harmonic
 kernels           a point force on an infinite shallow sphere, and means over circles

@@ -17,7 +17,7 @@ from scipy.linalg import qr
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Annulus, Points
+from truenewton.mirrors.glass import Annulus, Points, rim
 from truenewton.mirrors.known import GRAVITY, Mirror
 from truenewton.mirrors.shell.mesh import mesh_size_of, shell_mesh
 from truenewton.mirrors.shell.meshed_shell import MeshedShell
@@ -220,3 +220,22 @@ def shapes_at(glass: ShellModel, at: Points, over: Annulus | None = None) -> Arr
     shallow = glass.shallow
     read = glass.free.influence(at, glass.places, over, glass.mirror.puck_radius)
     return np.asarray(read @ shallow.stiffness + rigid_motions(*at).T @ shallow.motion)
+
+
+def moving_mass(glass: ShellModel, shapes: StaticShapes) -> tuple[Array, Array]:
+    """Return M [kg] and S, (n, n) each, in M z'' + K~ z = S' f, z the readings and f the forces.
+
+    M = rho t integral of phi_i phi_j + magnet_mass S' S (Guyan's reduction), with phi the influence
+    functions and S the displacement of the pucks with their magnets per reading, 1 if actuators are
+    read at the points of their forces. S transforms the forces to the readings by virtual work; K~
+    = S' K. Motion along the glass and the inertia of rotation are neglected. M is symmetric; for
+    rigid motions it is that of the whole.
+    """
+    mirror = glass.mirror
+    mass = shapes.shape.T @ (shapes.area[:, None] * shapes.shape)
+    mass *= mirror.shell.density * mirror.shell.thickness
+    pucks, on_puck = np.eye(mirror.layout.n), rim(mirror.puck_radius)
+    if mirror.sensor != on_puck:
+        pucks = shapes_at(glass, glass.places, on_puck)
+    mass += mirror.magnet_mass * pucks.T @ pucks
+    return 0.5 * (mass + mass.T), pucks

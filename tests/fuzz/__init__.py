@@ -1,1 +1,0 @@
-"""Fuzz: damaged files and absurd options for every command."""
