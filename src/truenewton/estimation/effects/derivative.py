@@ -344,7 +344,7 @@ def residual_information(one: Derivative, other: Derivative) -> Array | float:
     if one.of_each is None and other.of_each is None:
         return np.asarray(each.sum(axis=2))
     if one.of_each is None:
-        return each[:, :, other.some].reshape(m, -1)
+        return np.asarray(each[:, :, other.some].reshape(m, -1))
     if other.of_each is None:
         return np.asarray(np.moveaxis(each[:, :, one.some], 2, 1)).reshape(-1, o)
     whole, at = np.zeros((m, n, o, n)), np.arange(n)

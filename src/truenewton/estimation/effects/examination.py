@@ -257,20 +257,19 @@ def _corrected(
         if force is not None and force.log_probability < found[0].log_probability:
             entered = any(not part.free for part in parts)
             return _with_unknown_forces(now if entered else start), first
-        after: tuple[ExaminedFit, Joint] | None = None
+        best: tuple[bool, float, ExaminedFit, Joint] | None = None
         for test in _similar(found) if named else found[:1]:
-            tried.add(test.effect.code)
             trial = _entered(base, fit, parts, test)
             if trial is None:
+                tried.add(test.effect.code)
                 continue
             fitted = _with(start, trial, samples)
-            if fitted.fits or after is None:
-                after = fitted, trial
-            if fitted.fits:
-                break
-        if after is None:
+            if best is None or (fitted.fits, trial.parts[-1].gain) > best[:2]:
+                best = fitted.fits, trial.parts[-1].gain, fitted, trial
+        if best is None:
             continue
-        now, joint = after
+        *_, now, joint = best
+        tried |= {part.effect.code for part in parts} - {part.effect.code for part in joint.parts}
         if now.fits and now.effects and not now.effects[-1].corrected:
             return None, now
         if len(now.effects) == 1 and not parts[len(free) :]:
