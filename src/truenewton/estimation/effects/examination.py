@@ -313,7 +313,7 @@ def _with(start: ExaminedFit, joint: Joint | None, samples: Array) -> ExaminedFi
         if part.free:
             half = np.linalg.solve(part.covariance, part.theta)
             chi2 = float(part.theta @ half)
-            test = tested(joint.at, part.effect, derivative, chi2, part.determined)
+            test = tested(joint.at, part.effect, derivative, chi2, part.determined, None)
             chance = test.log_probability
         if chance_of_any(float(np.exp(chance)), len(CATALOGUE)) > OF_EACH_KIND:
             continue

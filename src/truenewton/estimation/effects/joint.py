@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.chance import normal_isf, t_isf
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.effects.catalogue import CATALOGUE, Effect
+from truenewton.estimation.effects.catalogue import CATALOGUE, Effect, removed
 from truenewton.estimation.effects.derivative import Derivative, FittedRows, Scored, scored
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.likelihood import Minimum
@@ -176,7 +176,7 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
     """
     parts, settled = tuple(parts), False
     affected = next((part.actuators for part in parts if part.actuators is not None), None)
-    at = replace(start or fit, affected=affected, found={})
+    at = replace(start or fit, affected=affected)
     for _ in range(40):
         made = [part.effect.derivative(at) for part in parts]
         derivatives = [each for each in made if each is not None]
@@ -195,16 +195,16 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
             return _ended(at, parts, result, inverse, precision)
         theta = theta + step
         parts, settled = _moved(parts, theta, inverse)
-        problem, moments = fit.problem, fit.moments
-        for part, derivative in zip(parts, derivatives, strict=True):
-            problem, moments = derivative.remove(problem, moments, part.theta)
+        effects = [(each, part.theta) for each, part in zip(derivatives, parts, strict=True)]
+        problem, moments = removed(at, (fit.problem, fit.moments), effects)
         problem = _with_new_noise(problem, moments)
         try:
             minimum = problem.fitted(moments, at.minimum.values)
         except (NotConverged, RankDeficient):
             return None
-        removed = fit.removed + fit.moments.mean - moments.mean
-        at = FittedRows(problem, moments, minimum, fit.independent, removed, affected)
+        apart = fit.removed + fit.moments.mean - moments.mean
+        found = {"before": at.found.get("columns")}
+        at = FittedRows(problem, moments, minimum, fit.independent, apart, affected, found)
     return None
 
 
