@@ -14,7 +14,12 @@ from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.chance import OF_EACH_KIND
-from truenewton.estimation.effects.catalogue import CATALOGUE, effect_tests, significant_tests
+from truenewton.estimation.effects.catalogue import (
+    CATALOGUE,
+    effect_tests,
+    removed,
+    significant_tests,
+)
 from truenewton.estimation.effects.correction import unknown_force
 from truenewton.estimation.effects.derivative import (
     FittedRows,
@@ -104,12 +109,12 @@ def steps(fit, name, function):
     result = scored(fit, derivative)
     h = 0.1 / np.sqrt(np.maximum(result.whole, 1e-300))
     first, second = np.empty((2, len(h)))
-    middle = function(*derivative.remove(fit.problem, fit.moments, np.zeros(len(h))))
+    middle = function(*removed(fit, (fit.problem, fit.moments), [(derivative, np.zeros(len(h)))]))
     for k, step in enumerate(h):
         theta = np.zeros(len(h))
         theta[k] = step
-        up = function(*derivative.remove(fit.problem, fit.moments, theta))
-        down = function(*derivative.remove(fit.problem, fit.moments, -theta))
+        up = function(*removed(fit, (fit.problem, fit.moments), [(derivative, theta)]))
+        down = function(*removed(fit, (fit.problem, fit.moments), [(derivative, -theta)]))
         first[k] = (up - down) / (2 * step)
         second[k] = (up + down - 2 * middle) / step**2
     return derivative, result, first, second
@@ -149,7 +154,7 @@ def test_the_predicted_shift_of_alpha_is_that_of_a_new_fit(name):
         for way in (step, -step):
             theta = np.zeros(count)
             theta[k] = way
-            problem, moments = derivative.remove(fit.problem, fit.moments, theta)
+            problem, moments = removed(fit, (fit.problem, fit.moments), [(derivative, theta)])
             values.append(problem.fitted(moments, fit.minimum.values).values[: fit.free])
         moved = (values[0] - values[1]) / (2 * step)
         shift = -result.moves[k] / scale
@@ -421,7 +426,7 @@ CASES = {
 }
 SEEDS = {"positions": 2}  # seeds 0 and 1 deviate by 2.3 sigma, in the common scale only
 UNCORRECTED = {"weight of a load"}  # reported, but not corrected
-ORDERS = {"weight of a load": (0, 0, 0, 1, 1, 1, 2, 2, 2)}
+ORDERS = {"weight of a load": (0, 1, 2, 0, 1, 2, 0, 1, 2)}
 
 
 def bench_with(name, seed, noise=SIGMA):

@@ -192,13 +192,13 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
             return None
         determined = [
             part.free or part.spreads.determined(inverse[k, k], part.variances).sum()
-            for part, k in _places(parts)
+            for part, k in places(parts)
         ]
         if iteration > 2 and min(determined) < MIN_DETERMINED:
             index = int(np.argmin(determined))
             return joined(fit, (*parts[:index], *parts[index + 1 :]), at) if parts[1:] else None
         step = -inverse @ (result.score + precision @ theta)
-        parts = tuple(_with_nu(part, inverse[k, k]) for part, k in _places(parts))
+        parts = tuple(_with_nu(part, inverse[k, k]) for part, k in places(parts))
         # Theta has converged if its step is below 0.01 standard errors.
         if settled and float(step @ result.information @ step) < 1e-4:
             return _ended(at, parts, result, inverse, precision)
@@ -217,7 +217,7 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
     return None
 
 
-def _places(parts: Sequence[Part]) -> list[tuple[Part, slice]]:
+def places(parts: Sequence[Part]) -> list[tuple[Part, slice]]:
     """Return the parts with the places of their parameters among all."""
     ends = np.cumsum([len(part.theta) for part in parts])
     return [(p, slice(end - len(p.theta), end)) for p, end in zip(parts, ends, strict=True)]
@@ -230,7 +230,7 @@ def _precision(parts: Sequence[Part], variances: Sequence[Array], result: Scored
     """
     each = [
         np.diag(1e-9 * result.whole[k]) if part.free else part.spreads.precision(v)
-        for (part, k), v in zip(_places(parts), variances, strict=True)
+        for (part, k), v in zip(places(parts), variances, strict=True)
     ]
     return np.asarray(scipy.linalg.block_diag(*each))
 
@@ -247,7 +247,7 @@ def _moved(parts: Sequence[Part], theta: Array, inverse: Array) -> tuple[tuple[P
     A spread has converged if it moves by less than 1 % of the scatter of its parameters.
     """
     moved, settled = [], True
-    for part, k in _places(parts):
+    for part, k in places(parts):
         if part.free:
             moved.append(replace(part, theta=theta[k]))
             continue
@@ -264,7 +264,7 @@ def _ended(
 ) -> Joint:
     """Return the fit with the covariance of its effects."""
     wide, ended = [], []
-    for part, k in _places(parts):
+    for part, k in places(parts):
         own = inverse[k, k]
         nu = np.maximum(part.spreads.determined(own, part.variances), 1e-3)
         spread = 1.0 + (excess_of_t(np.asarray(part.seen)) - 1.0) * part.seen / nu
@@ -274,7 +274,7 @@ def _ended(
         ended.append(replace(part, gain=gain, determined=determined))
     covariance = _covariance(result.information, _precision(parts, wide, result))
     problem, minimum = at.problem.with_error(at.minimum, result.moves, covariance)
-    parts = tuple(replace(part, covariance=covariance[k, k]) for part, k in _places(ended))
+    parts = tuple(replace(part, covariance=covariance[k, k]) for part, k in places(ended))
     effective = float(np.sum(inverse * result.by_balance))
     return Joint(problem, at.moments, minimum, parts, at, result, covariance, effective)
 
