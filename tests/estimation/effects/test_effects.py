@@ -26,7 +26,7 @@ from truenewton.estimation.effects.derivative import (
 from truenewton.estimation.effects.joint import correction
 from truenewton.estimation.effects.examination import chi2_probability
 from truenewton.estimation.findings.catalogue import ENTRIES
-from truenewton.estimation.findings.code import LIMITS
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.readings.moments import reading_noise
 from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
@@ -130,6 +130,36 @@ def test_score_and_information_are_derivatives_of_chi2(name, pooled):
     # For positions, the noise of fitted rows reduces it slightly.
     tolerance = 1e-2 if name == "positions" else 1e-3
     assert (more + spread) * unit**2 == pytest.approx(1.0, abs=tolerance)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("gain by hour", "zero by file of each"),
+        ("gain by file", "zero by hour"),
+        ("gain by hour of each", "random walk of the zero"),
+        ("gain by load", "zero by hour of each"),
+        ("quadratic coil of each", "cubic coil"),
+        ("coil gradient", "bias gradient"),
+        ("contact in one sign by load", "zero by file"),
+    ],
+)
+def test_the_joint_information_of_two_effects_is_a_derivative_of_chi2(names):
+    """Second differences by one parameter of each; they are exact for a sum of squares."""
+    fit = uneven(pooled=True)
+    both = [OF[name].derivative(fit) for name in names]
+    result, first = scored(fit, *both), both[0].count
+    h = 0.1 / np.sqrt(result.whole)
+    for k, j in {(0, 0), (first - 1, 0), (first // 2, both[1].count - 1)}:
+        mixed = 0.0
+        for one, other in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            theta = np.zeros(len(h))
+            theta[k], theta[first + j] = one * h[k], other * h[first + j]
+            at = both[0].remove(fit.problem, fit.moments, theta[:first])
+            at = both[1].remove(*at, theta[first:])
+            mixed += 0.25 * one * other * (balance(fit, *at) + structure(fit, at[1]))
+        unit = h[k] * h[first + j]
+        assert mixed == pytest.approx(unit * result.joint[k, first + j], abs=1e-3 * 0.1**2)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -335,11 +365,16 @@ def differ(bench, what, spread, whose):
     return in_order(bench, files).ravel()
 
 
-def random_walk(bench, size):
-    """Let the zero of all jump before each file but the first, and stay."""
-    jumps = drawn(bench, size)[1 : len(bench.order)]
-    bench.zero = np.concatenate([[0.0], np.cumsum(jumps)])[bench.file][:, None]
-    return jumps
+def random_walk(bench, size, *, balanced=True):
+    """Let the zero of all jump before each file but the first, and stay.
+
+    What differs between loads moves the scale too, and is not determined.
+    """
+    zero = np.cumsum(size * bench.random.standard_normal(len(bench.order)))
+    for load in set(bench.order.tolist()) if balanced else ():
+        zero[bench.order == load] -= zero[bench.order == load].mean()
+    bench.zero = zero[bench.file][:, None]
+    return np.diff(zero)
 
 
 def gain_by_load(bench):
@@ -472,6 +507,19 @@ def test_the_place_of_the_largest_effect_is_reported(name, where):
     assert effect.where == where(bench, int(np.abs(theta).argmax()))
     if "gain" in name:
         assert abs(effect.size) == pytest.approx(np.abs(theta).max(), rel=0.3)
+
+
+def test_the_error_covers_the_scale_that_a_random_walk_of_the_zero_moves():
+    """What differs between loads is not determined; the spread of the other files tells it."""
+    z = []
+    for seed in range(12):
+        bench = SmallBench([seed, 15], SIGMA, order=IN_TURN)
+        random_walk(bench, 0.6 * SIGMA, balanced=False)
+        found = calibrate(bench.campaign())
+        assert found.effects[0].code == Code.ZERO_RANDOM_WALK, seed
+        z.append(np.mean((found.alpha - bench.alpha) / found.error))
+    assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.6
+    assert np.max(np.abs(z)) < 3.0
 
 
 def test_two_simultaneous_effects_are_found():
