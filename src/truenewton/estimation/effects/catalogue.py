@@ -41,6 +41,7 @@ from truenewton.estimation.effects.fields import (
     from_mean,
     functions_with,
     standing_out,
+    without,
 )
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import bias_per_gain
@@ -134,8 +135,27 @@ def columns_at(fit: FittedRows) -> tuple[Columns, dict[str, Field]]:
     if "columns" not in fit.found:
         displaced = fit.moments.displacement is not None
         fields = {k: of(fit) for k, of in FIELDS.items() if displaced or k != "displacement"}
-        fit.found["fields"], fit.found["columns"] = fields, columns_of(fit, fields)
+        columns = columns_of(fit, fields, fit.found.get("before"))
+        fit.found["fields"], fit.found["columns"] = fields, columns
     return fit.found["columns"], fit.found["fields"]
+
+
+def removed(
+    fit: FittedRows,
+    data: tuple[Problem, Moments],
+    effects: Sequence[tuple[Derivative, Array]],
+) -> tuple[Problem, Moments]:
+    """Return problem and moments without effects, each with its (k,) parameters."""
+    problem, moments = data
+    size = sum((each.sizes(theta) for each, theta in effects), start=np.zeros(1))
+    if np.any(size):
+        columns, fields = columns_at(fit)
+        size = np.broadcast_to(size, columns.score.shape)
+        moments = without(fit, columns, fields, moments, size)
+    for each, theta in effects:
+        if each.remove is not None:
+            problem, moments = each.remove(problem, moments, theta)
+    return problem, moments
 
 
 def _derivative(fit: FittedRows, name: str, *functions: slice, **options: Any) -> Derivative:
@@ -194,12 +214,8 @@ def gain_by_load(fit: FittedRows) -> Derivative | None:
         return readings
     nearer = np.delete(fit.moments.of_load * lean, int(lean.argmin()), axis=1)
     magnets = on_balance(fit, ratio * fit.problem.a.sum(axis=1)[None, :, None] * nearer[:, None])
-
-    def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return magnets.remove(*readings.remove(problem, moments, theta), theta)
-
     jacobian = np.asarray(readings.jacobian) + np.asarray(magnets.jacobian)  # all share each size
-    return replace(readings, remove=remove, jacobian=jacobian)
+    return replace(readings, remove=magnets.remove, jacobian=jacobian)
 
 
 def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -218,7 +234,7 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
 def zero_random_walk(fit: FittedRows) -> Derivative | None:
     """Return a zero, the same for all, that changes from each file to the next, and stays.
 
-    A zero by file is independent of that of the file before; what has been moved, or drifts, is not.
+    Zeros by file are independent of each other; what has been moved, or drifts, is not.
     """
     within = fit.moments.within
     order = np.argsort(within.hour.sum(axis=1) / within.weight.sum(axis=1))
@@ -293,7 +309,7 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
 
     return Derivative(
         2 * b,
-        remove,
+        remove=remove,
         of_each=OfEach(
             arms=arms.reshape(3, 2 * b),
             rows=lambda: rows,
@@ -329,7 +345,7 @@ def shell_curvature(fit: FittedRows) -> Derivative:
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
         return replace(problem, moved=problem.moved + theta[0] * less), moments
 
-    return Derivative(1, remove, jacobian=jacobian, spurious=spurious)
+    return Derivative(1, remove=remove, jacobian=jacobian, spurious=spurious)
 
 
 def on_balance(fit: FittedRows, change: Array) -> Derivative:
@@ -338,9 +354,9 @@ def on_balance(fit: FittedRows, change: Array) -> Derivative:
     jacobian = fit.moments.pooling.rows(change.reshape(groups, 3 * k)).reshape(-1, 3, k)
 
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return problem, replace(moments, known=moments.known + change @ theta)
+        return problem, moments.with_forces(known=moments.known + change @ theta)
 
-    return Derivative(k, remove, jacobian=jacobian)
+    return Derivative(k, remove=remove, jacobian=jacobian)
 
 
 def on_loads(fit: FittedRows, loads: Sequence[bool] | slice = slice(1, None)) -> Array:
@@ -437,15 +453,15 @@ class EffectTest:
 def effect_tests(
     fit: FittedRows,
     given: Given | None = None,
-    without: Collection[Code] = (),
+    left_out: Collection[Code] = (),
     *,
     bounded: bool = False,
 ) -> list[EffectTest]:
-    """Return the tests of the catalogue ``without`` some effects at a fit, the likeliest first.
+    """Return the tests of the catalogue at a fit, the likeliest first, but those ``left_out``.
 
     ``given`` and ``bounded``: as in `chi2_of`.
     """
-    made = ((effect, effect.derivative(fit)) for effect in CATALOGUE if effect.code not in without)
+    made = ((effect, effect.derivative(fit)) for effect in CATALOGUE if effect.code not in left_out)
     effects = [(effect, each) for effect, each in made if each is not None and each.count]
     found = chi2_of(fit, [derivative for _, derivative in effects], given, bounded=bounded)
     each = [tested(fit, *pair, *one) for pair, one in zip(effects, found, strict=True) if one]
@@ -458,7 +474,7 @@ def tested(
     derivative: Derivative,
     chi2: float,
     freedom: float,
-    log_probability: float | None = None,
+    log_probability: float | None,
 ) -> EffectTest:
     """Return the test of an effect by its chi^2.
 

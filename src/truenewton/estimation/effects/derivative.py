@@ -281,11 +281,11 @@ class Columns:
     # (K, n) and (K, K, n) of what pooled rows leave, of each actuator; 0 if readings are dependent
     score: Array
     gram: Array
+    own: Array  # (K, K, n) sums of products within groups, where columns differ from their means
+    square: Array  # (k, k, n) sums over the R rows of products of U' r h e
     jacobian: Array  # (R, 3, k) J of sizes that all actuators share
-    # (k, k, n) sums over the R rows of products of U' r h e, and (3, k, n) of S^-1/2 rho times U' r
-    # h e
-    square: Array
-    pull: Array
+    pull: Array  # (3, k, n) sums over the R rows of S^-1/2 rho times U' r h e
+    noise: Array  # (n,) s^2
 
 
 def mixed(mix: Array, values: Array, other: Array) -> Array:
@@ -298,13 +298,13 @@ class Derivative:
     """The derivative of a fit with respect to k parameters of an effect."""
 
     count: int  # k
-    remove: Removal  # takes an effect of (k,) parameters out of the data
     jacobian: Array | None = None  # (R, 3, k) J; None if each actuator has parameters of its own
     of_each: OfEach | None = None  # J of these
     # The columns of an effect on readings, and (K, m) their sizes by the m parameters that all
     # actuators share, or that each has
     columns: Columns | None = None
     weights: Array | None = None
+    remove: Removal | None = None  # takes (k,) parameters out of the balance, or of the arms
     # Makes (k, n) D_te on alpha and (k, k) D_tt; None if noise of fitted readings does not bias the
     # score
     spurious: Callable[[], tuple[Array, Array | float]] | None = None
@@ -317,6 +317,16 @@ class Derivative:
     def some(self) -> Some:
         """The actuators that have parameters."""
         return slice(None) if self.actuators is None else self.actuators
+
+    def sizes(self, theta: Array) -> Array | float:
+        """Return (K, n) sizes of the columns of each actuator, from (k,) parameters."""
+        if self.weights is None or self.columns is None:
+            return 0.0
+        if self.of_each is None:
+            return (self.weights @ theta)[:, None]
+        sizes = np.zeros(self.columns.score.shape)
+        sizes[:, self.some] = self.weights @ theta.reshape(self.weights.shape[1], -1)
+        return sizes
 
     @cached_property
     def score(self) -> Array:
@@ -378,7 +388,7 @@ class _White:
         times = other.pulled.shape[1] // o
         if self.pulled is None:
             each = np.tensordot(self.rows, other.rows, axes=(0, 0))  # (3, k, l)
-            return np.einsum("akl,al->kl", np.tile(each, times), other.pulled)
+            return np.asarray(np.einsum("akl,al->kl", np.tile(each, times), other.pulled))
         square = np.tile(self.rows.T @ other.rows, (self.pulled.shape[1] // k, times))
         return np.asarray((self.pulled.T @ other.pulled) * square)
 

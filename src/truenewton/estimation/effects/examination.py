@@ -59,6 +59,7 @@ from truenewton.statics.load import leaning
 
 MAX_SIMILAR = 4  # effects that are tried
 MAX_CHANCE = 0.1  # of an effect that is looked at: it is in the fit if the data support it
+MAX_PARAMETERS_OF_WEAK = 1000  # beside which such an effect is not looked for: it takes long
 MIN_GAIN = 4.0  # of the logarithm of the likelihood, twice: evidence of 7 to 1 for an effect
 MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any imbalance
 MAX_REDUCED_CHI2 = 2.0  # chi^2 over degrees of freedom that unknown forces, not normal, may leave
@@ -248,7 +249,9 @@ def _corrected(
         if shared:
             found = beside_shared_noise(found, fit, samples)
         named = len(significant_tests(found))
-        found = found[:named] or [t for t in found if t.log_probability < np.log(MAX_CHANCE)]
+        weak = [test for test in found if test.log_probability < np.log(MAX_CHANCE)]
+        few = sum(len(part.theta) for part in parts) < MAX_PARAMETERS_OF_WEAK
+        found = found[:named] or (weak if few else [])
         if not found:
             return (now if now.fits else None), first
         if named and not first.effects:
@@ -290,6 +293,8 @@ def _entered(
     new = replace(new, log_probability=test.log_probability)
     joint = joined(base, (*parts, new), fit)
     while joint is not None:
+        if joint.parts[-1].effect is not test.effect:
+            return None
         least = min(joint.parts, key=lambda part: part.gain)
         if least.gain > MIN_GAIN:
             return joint
@@ -313,7 +318,7 @@ def _with(start: ExaminedFit, joint: Joint | None, samples: Array) -> ExaminedFi
         if part.free:
             half = np.linalg.solve(part.covariance, part.theta)
             chi2 = float(part.theta @ half)
-            test = tested(joint.at, part.effect, derivative, chi2, part.determined)
+            test = tested(joint.at, part.effect, derivative, chi2, part.determined, None)
             chance = test.log_probability
         if chance_of_any(float(np.exp(chance)), len(CATALOGUE)) > OF_EACH_KIND:
             continue

@@ -38,7 +38,6 @@ from truenewton.estimation.effects.derivative import (
     chi2_of_each,
     mixed,
 )
-from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, WithinGroups
 
 CHANCE_OF_ANY_ACTUATOR = 1e-2 * OF_EACH_KIND  # that any actuator of a sound mirror is chosen
@@ -81,9 +80,12 @@ def functions_with(moments: Moments, of_groups: Array) -> Array:
     return np.vstack([of_rows, of_groups * moments.weight])
 
 
-def columns_of(fit: FittedRows, fields: dict[str, Field]) -> Columns:
-    """Return the sums over the rows of a fit of the columns of some fields, by name."""
-    of_all = _Pass(fit, fields)
+def columns_of(fit: FittedRows, fields: dict[str, Field], before: Columns | None = None) -> Columns:
+    """Return the sums over the rows of a fit of the columns of some fields, by name.
+
+    Only scores are new if those of a fit nearby are given: products of columns are the same there.
+    """
+    of_all = _Pass(fit, fields, before)
     step = max(1, 2**17 // len(fit.moments.mean))
     for start in range(0, fit.problem.n, step):
         of_all.add(slice(start, min(start + step, fit.problem.n)))
@@ -96,8 +98,9 @@ class _Pass:
     Functions with the same means over groups, as those of several files often have, share a kind.
     """
 
-    def __init__(self, fit: FittedRows, fields: dict[str, Field]) -> None:
+    def __init__(self, fit: FittedRows, fields: dict[str, Field], before: Columns | None) -> None:
         self.fit, self.fields, moments, n = fit, fields, fit.moments, fit.problem.n
+        self.before = before
         self.within, self.slices = moments.counted_within, dict[str, slice]()
         kinds: dict[tuple[str, bytes], int] = {}
         kind = list[int]()
@@ -111,9 +114,11 @@ class _Pass:
             name: moments.pooling.weighed(self.mean[self._of(name)]) for name in self.fields
         }
         count, k = len(kind), len(kinds)
-        self.score, self.gram = np.zeros((count, n)), np.zeros((count, count, n))
+        self.score = np.zeros((count, n))
         self.pulled, self.pull = np.zeros((k, len(fit.fitted_rows), 3)), np.zeros((3, k, n))
-        self.square = np.zeros((k, k, n))
+        if before is None:
+            self.gram, self.square = np.zeros((count, count, n)), np.zeros((k, k, n))
+            self.own = np.zeros((count, count, n))
 
     def _of(self, name: str) -> slice:
         """Return which kinds a field has."""
@@ -130,7 +135,8 @@ class _Pass:
             of = self._of(name)
             rows[of] = (self.pool[name] @ e).reshape(of.stop - of.start, -1, e.shape[1])
         self.pulled += rows @ fit.scaled_arms[:, some].T
-        self.square[:, :, some] = np.einsum("krb,lrb->klb", rows, rows, optimize=True)
+        if self.before is None:
+            self.square[:, :, some] = np.einsum("krb,lrb->klb", rows, rows, optimize=True)
         pull = fit.white_rho.reshape(-1, 3).T @ rows
         self.pull[:, :, some] = np.moveaxis(pull, 1, 0)
         if apart is not None:
@@ -139,22 +145,29 @@ class _Pass:
     def _add_residual(self, some: slice, values: dict[str, Array], apart: Array) -> None:
         """Add what pooled rows leave, from (g, b) residuals of the means [N]."""
         noise = self.fit.problem.noise.variance[some]
+        weight = self.fit.moments.weight
+        for name, field in self.fields.items():
+            of, w = self._of(name), field.within
+            off = (self.mean[of] * weight) @ (values[name] * apart)
+            score = -off[self.kind[self.slices[name]] - of.start]
+            score[:w] -= field.sums(self.within)[:w, some]
+            self.score[self.slices[name], some] = score / noise
+        if self.before is None:
+            self._add_products(some, values, noise)
+
+    def _add_products(self, some: slice, values: dict[str, Array], noise: Array) -> None:
+        """Add the products of columns, by (g, b) or (g, 1) values of the fields."""
         names, weight = list(values), self.fit.moments.weight
         between = -self.square[:, :, some]
         for first, name in enumerate(names):
             of = self._of(name)
-            weighted = self.mean[of] * weight
-            score = -(weighted @ (values[name] * apart))[self.kind[self.slices[name]] - of.start]
-            w = self.fields[name].within
-            score[:w] -= self.fields[name].sums(self.within)[:w, some]
-            self.score[self.slices[name], some] = score / noise
             for other in names[first:]:
                 to, product = self._of(other), values[name] * values[other]
-                both = np.einsum("kg,lg,gb->klb", weighted, self.mean[to], product, optimize=True)
+                pairs = (self.mean[of] * weight)[:, None] * self.mean[to]
+                both = (pairs.reshape(-1, len(weight)) @ product).reshape(*pairs.shape[:2], -1)
                 between[of, to] += both
                 if other != name:
                     between[to, of] += both.swapaxes(0, 1)
-        gram = between[self.kind][:, self.kind]
         inside = [name for name in names if self.fields[name].within]
         for first, name in enumerate(inside):
             for other in inside[first:]:
@@ -163,9 +176,9 @@ class _Pass:
                     slice(self.slices[one].start, self.slices[one].start + len(own))
                     for one in (name, other)
                 )
-                gram[at, to] += own
-                if other != name:
-                    gram[to, at] += own.swapaxes(0, 1)
+                self.own[at, to, some] = own
+                self.own[to, at, some] = own.swapaxes(0, 1)
+        gram = between[self.kind][:, self.kind] + self.own[:, :, some]
         self.gram[:, :, some] = gram / noise
 
     def _own(self, some: slice, field: Field, other: Field) -> Array:
@@ -173,25 +186,21 @@ class _Pass:
         within = self.within
         own = field.own(within, some) * other.own(within, some)
         mean = field.mean(self.fit.moments)[: field.within]
-        first = other.first[: other.within]
-        return _second(within, own) - np.einsum("kg,lg,gb->klb", mean, first, own, optimize=True)
+        pairs = mean[:, None] * other.first[: other.within]
+        by_mean = pairs.reshape(-1, pairs.shape[2]) @ own
+        return np.asarray(_second(within, own) - by_mean.reshape(*pairs.shape[:2], -1))
 
     def result(self) -> Columns:
         """Return the sums over all actuators."""
-        jacobian = -np.moveaxis(self.pulled, 0, 2)
-        return Columns(
-            self.slices, self.kind, self.score, self.gram, jacobian, self.square, self.pull
-        )
-
-
-def _products(within: WithinGroups, index: int) -> Array:
-    """Return (files + 1, g) weighted sums of h times one of the h."""
-    files = len(within.weight)
-    if index == files:
-        return np.vstack([within.hour, within.square])
-    products = np.zeros_like(within.first)
-    products[index], products[files] = within.weight[index], within.hour[index]
-    return products
+        jacobian, noise = -np.moveaxis(self.pulled, 0, 2), self.fit.problem.noise.variance
+        if self.before is not None:
+            before = self.before
+            gram = before.gram * (before.noise / noise)
+            return replace(
+                before, score=self.score, gram=gram, jacobian=jacobian, pull=self.pull, noise=noise
+            )
+        products = self.gram, self.own, self.square
+        return Columns(self.slices, self.kind, self.score, *products, jacobian, self.pull, noise)
 
 
 def _second(within: WithinGroups, values: Array) -> Array:
@@ -240,11 +249,6 @@ def derivative_of(
     weights = np.zeros((len(columns.kind), mix.shape[1]))
     weights[start + functions.start : start + functions.stop] = mix
 
-    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        size = np.zeros((k, n))
-        size[:, some] = mix @ theta.reshape(mix.shape[1], -1)
-        return problem, _removed(fit, before, one, functions, size)
-
     def spurious() -> tuple[Array, float]:
         if not each:
             return np.outer(trace, fit.spurious_by_all), 0.0
@@ -258,7 +262,6 @@ def derivative_of(
         jacobian = columns.jacobian @ kinds
     return Derivative(
         mix.shape[1] * (len(np.arange(n)[some]) if each else 1),
-        remove,
         jacobian=jacobian,
         of_each=of_each,
         columns=columns,
@@ -300,28 +303,36 @@ def _of_each(
     )
 
 
-def _removed(
-    fit: FittedRows, moments: Moments, field: Field, functions: slice, size: Array
+def without(
+    fit: FittedRows, columns: Columns, fields: dict[str, Field], moments: Moments, size: Array
 ) -> Moments:
-    """Return moments without an effect of (K, n) sizes of some functions of a field."""
-    within = moments.within
-    shift = field.mean(moments)[functions].T @ size
-    mean = moments.mean - shift * field.at(fit)
-    if functions.start >= field.within:
-        return replace(moments, mean=mean)
-    own, sums = field.own(within), field.sums(within)
-    sizes = np.zeros((len(within.first), size.shape[1]))
-    sizes[functions] = size
-    scatter = moments.scatter - 2.0 * np.sum(size * sums[functions], axis=0)
-    zeros, gains = within.zero.copy(), within.gain.copy()
-    counted = moments.counted_within
-    for index, first in enumerate(counted.first):
-        apart = (_products(counted, index).T @ sizes - first[:, None] * shift) * own
-        zeros[index] -= apart.sum(axis=0)
-        gains[index] -= np.sum(apart * within.mean, axis=0)
-        scatter += sizes[index] * np.sum(apart * own, axis=0)
-    within = replace(within, zero=zeros, gain=gains)
-    return replace(moments, mean=mean, scatter=np.maximum(scatter, 0.0), within=within)
+    """Return moments without columns of (K, n) sizes, of the fields at a fit."""
+    mean, within = moments.mean.copy(), moments.within
+    step = max(1, 2**17 // len(mean))
+    used = [name for name in fields if size[columns.slices[name]].any()]
+    for start in range(0, fit.problem.n, step):
+        some = slice(start, min(start + step, fit.problem.n))
+        recorded = fit.recorded(some)
+        for name in used:
+            shift = fields[name].mean(moments).T @ size[columns.slices[name], some]
+            mean[:, some] -= shift * fields[name].values(some, recorded)
+    if not columns.own.any():
+        return moments.with_forces(mean=mean)
+    # Sums within groups, of the first functions of the fields, are quadratic in the sizes.
+    changed = np.einsum("kln,ln->kn", columns.own, size)
+    scatter = moments.scatter + np.einsum("kn,kn->n", size, changed)
+    for name in used:
+        if w := fields[name].within:
+            at = slice(columns.slices[name].start, columns.slices[name].start + w)
+            scatter -= 2.0 * np.sum(size[at] * fields[name].sums(within)[:w], axis=0)
+    zero, gain = (columns.slices[name].start for name in ("zero", "gain"))
+    w = len(within.zero)
+    within = replace(
+        within,
+        zero=within.zero - changed[zero : zero + w],
+        gain=within.gain + changed[gain : gain + w],
+    )
+    return moments.with_forces(mean=mean, scatter=np.maximum(scatter, 0.0), within=within)
 
 
 def standing_out(columns: Columns, functions: slice, mix: Array) -> NDArray[np.intp]:

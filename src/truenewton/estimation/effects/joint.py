@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.chance import normal_isf, t_isf
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.effects.catalogue import CATALOGUE, Effect
+from truenewton.estimation.effects.catalogue import CATALOGUE, Effect, removed
 from truenewton.estimation.effects.derivative import Derivative, FittedRows, Scored, scored
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.likelihood import Minimum
@@ -48,6 +48,7 @@ from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.linalg import inverse_of_positive
 
 MAX_PRICE = 1.02  # of the effects that are always free
+MIN_DETERMINED = 0.3  # parameters of an effect; with fewer, its gain is below 1
 MAX_PARAMETERS = 10_000  # a matrix of them takes 0.8 GB, and several are needed
 
 
@@ -172,12 +173,13 @@ def correction(fit: FittedRows, effect: Effect) -> Joint | None:
 def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = None) -> Joint | None:
     """Estimate effects together with alpha; None if it does not converge.
 
+    An effect of which the data determine next to nothing is left out: its spread becomes 0.
     The ``fit`` is that without effects; ``start`` that with the parameters that the parts have.
     """
     parts, settled = tuple(parts), False
     affected = next((part.actuators for part in parts if part.actuators is not None), None)
-    at = replace(start or fit, affected=affected, found={})
-    for _ in range(40):
+    at = replace(start or fit, affected=affected)
+    for iteration in range(40):
         made = [part.effect.derivative(at) for part in parts]
         derivatives = [each for each in made if each is not None]
         if len(derivatives) < len(parts):
@@ -188,6 +190,13 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
             inverse = _covariance(result.information, precision)
         except np.linalg.LinAlgError:
             return None
+        determined = [
+            part.free or part.spreads.determined(inverse[k, k], part.variances).sum()
+            for part, k in _places(parts)
+        ]
+        if iteration > 2 and min(determined) < MIN_DETERMINED:
+            index = int(np.argmin(determined))
+            return joined(fit, (*parts[:index], *parts[index + 1 :]), at) if parts[1:] else None
         step = -inverse @ (result.score + precision @ theta)
         parts = tuple(_with_nu(part, inverse[k, k]) for part, k in _places(parts))
         # Theta has converged if its step is below 0.01 standard errors.
@@ -195,16 +204,16 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
             return _ended(at, parts, result, inverse, precision)
         theta = theta + step
         parts, settled = _moved(parts, theta, inverse)
-        problem, moments = fit.problem, fit.moments
-        for part, derivative in zip(parts, derivatives, strict=True):
-            problem, moments = derivative.remove(problem, moments, part.theta)
+        effects = [(each, part.theta) for each, part in zip(derivatives, parts, strict=True)]
+        problem, moments = removed(at, (fit.problem, fit.moments), effects)
         problem = _with_new_noise(problem, moments)
         try:
             minimum = problem.fitted(moments, at.minimum.values)
         except (NotConverged, RankDeficient):
             return None
-        removed = fit.removed + fit.moments.mean - moments.mean
-        at = FittedRows(problem, moments, minimum, fit.independent, removed, affected)
+        apart = fit.removed + fit.moments.mean - moments.mean
+        found = {"before": at.found.get("columns")}
+        at = FittedRows(problem, moments, minimum, fit.independent, apart, affected, found)
     return None
 
 
