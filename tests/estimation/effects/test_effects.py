@@ -28,10 +28,10 @@ from truenewton.estimation.effects.derivative import (
     surely_sound,
     variance_at_least,
 )
-from truenewton.estimation.effects.joint import correction
 from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.estimation.effects.joint import correction
 from truenewton.estimation.findings.catalogue import ENTRIES
-from truenewton.estimation.findings.code import LIMITS
+from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.readings.moments import reading_noise
 from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
@@ -85,6 +85,11 @@ def affected(fit, name):
     return replace(fit, affected=AFFECTED) if name in SINGLE else fit
 
 
+def without(fit, *effects):
+    """Return problem and moments of a fit without effects, each with its parameters."""
+    return removed(fit, (fit.problem, fit.moments), effects)
+
+
 def balance(fit, problem, moments):
     """Return half of the chi^2 of the balance at the unknowns of the fit."""
     at = FittedRows(problem, moments, fit.minimum, fit.independent)
@@ -109,12 +114,12 @@ def steps(fit, name, function):
     result = scored(fit, derivative)
     h = 0.1 / np.sqrt(np.maximum(result.whole, 1e-300))
     first, second = np.empty((2, len(h)))
-    middle = function(*removed(fit, (fit.problem, fit.moments), [(derivative, np.zeros(len(h)))]))
+    middle = function(*without(fit, (derivative, np.zeros(len(h)))))
     for k, step in enumerate(h):
         theta = np.zeros(len(h))
         theta[k] = step
-        up = function(*removed(fit, (fit.problem, fit.moments), [(derivative, theta)]))
-        down = function(*removed(fit, (fit.problem, fit.moments), [(derivative, -theta)]))
+        up = function(*without(fit, (derivative, theta)))
+        down = function(*without(fit, (derivative, -theta)))
         first[k] = (up - down) / (2 * step)
         second[k] = (up + down - 2 * middle) / step**2
     return derivative, result, first, second
@@ -137,6 +142,35 @@ def test_score_and_information_are_derivatives_of_chi2(name, pooled):
     assert (more + spread) * unit**2 == pytest.approx(1.0, abs=tolerance)
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("gain by hour", "zero by file of each"),
+        ("gain by file", "zero by hour"),
+        ("gain by hour of each", "random walk of the zero"),
+        ("gain by load", "zero by hour of each"),
+        ("quadratic coil of each", "cubic coil"),
+        ("coil gradient", "bias gradient"),
+        ("contact in one sign by load", "zero by file"),
+    ],
+)
+def test_the_joint_information_of_two_effects_is_a_derivative_of_chi2(names):
+    """Second differences by one parameter of each; they are exact for a sum of squares."""
+    fit = uneven(pooled=True)
+    both = [OF[name].derivative(fit) for name in names]
+    result, first = scored(fit, *both), both[0].count
+    h = 0.1 / np.sqrt(result.whole)
+    for k, j in {(0, 0), (first - 1, 0), (first // 2, both[1].count - 1)}:
+        mixed = 0.0
+        for one, other in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            theta = np.zeros(len(h))
+            theta[k], theta[first + j] = one * h[k], other * h[first + j]
+            at = without(fit, (both[0], theta[:first]), (both[1], theta[first:]))
+            mixed += 0.25 * one * other * (balance(fit, *at) + structure(fit, at[1]))
+        unit = h[k] * h[first + j]
+        assert mixed == pytest.approx(unit * result.joint[k, first + j], abs=1e-3 * 0.1**2)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_the_predicted_shift_of_alpha_is_that_of_a_new_fit(name):
     """Refit after removing a small amount of each parameter; with little noise D is negligible."""
@@ -154,7 +188,7 @@ def test_the_predicted_shift_of_alpha_is_that_of_a_new_fit(name):
         for way in (step, -step):
             theta = np.zeros(count)
             theta[k] = way
-            problem, moments = removed(fit, (fit.problem, fit.moments), [(derivative, theta)])
+            problem, moments = without(fit, (derivative, theta))
             values.append(problem.fitted(moments, fit.minimum.values).values[: fit.free])
         moved = (values[0] - values[1]) / (2 * step)
         shift = -result.moves[k] / scale
@@ -340,9 +374,15 @@ def differ(bench, what, spread, whose):
     return in_order(bench, files).ravel()
 
 
-def random_walk(bench, size):
-    """Let the zero of all jump before each file but the first, and stay."""
-    jumps = drawn(bench, size)[1 : len(bench.order)]
+def random_walk(bench, size, *, balanced=True):
+    """Let the zero of all jump before each file but the first, and stay.
+
+    Jumps as the load changes, up and down by the same, move the scale, and are not determined.
+    """
+    jumps = size * bench.random.standard_normal(len(bench.order) - 1)
+    change = np.diff(bench.order)
+    if balanced:
+        jumps -= change * (change @ jumps) / (change @ change)
     bench.zero = np.concatenate([[0.0], np.cumsum(jumps)])[bench.file][:, None]
     return jumps
 
@@ -477,6 +517,24 @@ def test_the_place_of_the_largest_effect_is_reported(name, where):
     assert effect.where == where(bench, int(np.abs(theta).argmax()))
     if "gain" in name:
         assert abs(effect.size) == pytest.approx(np.abs(theta).max(), rel=0.3)
+
+
+def test_the_error_covers_the_scale_that_a_random_walk_of_the_zero_moves():
+    """What differs between loads is not determined; the spread of the jumps tells it.
+
+    Seven jumps may also look like zeros that are independent in each file.
+    """
+    z, named = [], []
+    for seed in range(12):
+        bench = SmallBench([seed, 15], SIGMA, order=IN_TURN)
+        random_walk(bench, 0.6 * SIGMA, balanced=False)
+        found = calibrate(bench.campaign())
+        named.append(found.effects[0].code)
+        z.append(np.mean((found.alpha - bench.alpha) / found.error))
+    assert named.count(Code.ZERO_RANDOM_WALK) >= 8
+    assert set(named) <= {Code.ZERO_RANDOM_WALK, Code.ZERO_BY_FILE}
+    assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.6
+    assert np.max(np.abs(z)) < 3.0
 
 
 def test_two_simultaneous_effects_are_found():
