@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import FALSE_ALARM, OF_EACH_KIND, chance_of_any, chi2_cdf, chi2_sf, f_sf
@@ -261,18 +262,20 @@ def _corrected(
         if force is not None and force.log_probability < found[0].log_probability:
             entered = any(not part.free for part in parts)
             return _with_unknown_forces(now if entered else start), first
-        best: tuple[bool, float, ExaminedFit, Joint] | None = None
+        best: tuple[ExaminedFit, Joint] | None = None
         for test in _similar(found) if named else found[:1]:
             trial = _entered(base, fit, parts, test)
             if trial is None:
                 tried.add(test.effect.code)
                 continue
             fitted = _with(start, trial, samples)
-            if best is None or (fitted.fits, trial.parts[-1].gain) > best[:2]:
-                best = fitted.fits, trial.parts[-1].gain, fitted, trial
+            if best is None or fitted.fits or trial.parts[-1].gain > best[1].parts[-1].gain:
+                best = fitted, trial
+            if fitted.fits:
+                break
         if best is None:
             continue
-        *_, now, joint = best
+        now, joint = best
         tried |= {part.effect.code for part in parts} - {part.effect.code for part in joint.parts}
         if now.fits and now.effects and not now.effects[-1].corrected:
             return None, now
@@ -344,9 +347,9 @@ def _seen(joint: Joint) -> list[Part]:
     inverse = np.linalg.inv(joint.covariance[np.ix_(everything, everything)])
     information[np.ix_(everything, everything)] = inverse
     score = information @ np.concatenate([part.theta for part in joint.parts])
-    named, chosen = list[Part](), np.empty(0, dtype=np.intp)
+    named, chosen = list[Part](), np.asarray([], dtype=np.intp)
     while rest:
-        trials = list[tuple[Part, Array, int]]()
+        trials = list[tuple[Part, NDArray[np.intp], int]]()
         for index, (part, k) in enumerate(rest):
             both = np.concatenate([chosen, np.arange(k.start, k.stop)])
             theta = _solved(information, both) @ score[both]
@@ -367,7 +370,7 @@ def _seen(joint: Joint) -> list[Part]:
     return named
 
 
-def _solved(information: Array, some: Array) -> Array:
+def _solved(information: Array, some: NDArray[np.intp]) -> Array:
     """Return the inverse of some rows and columns, of which gains by file have one too many."""
     return np.asarray(np.linalg.pinv(information[np.ix_(some, some)], rcond=1e-8, hermitian=True))
 
