@@ -15,7 +15,7 @@ because two loads cannot show one; stated errors are statistical. The columns ar
     S U D R -      verdicts: sound, usable, doubtful, rejected; no alpha
 
 The price of an effect is E_STAT with the effect free over E_STAT without it, in a fit to a sound
-campaign. Columns are of loads in turn and in a row. A * marks effects that are always free.
+campaign. Columns are of loads in turn and in a row.
 Without a prior, the balance cannot distinguish *undetermined* effects from alpha.
 """
 
@@ -42,7 +42,6 @@ from studies.faulty.fault import ORDERS
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
 from truenewton.estimation.effects.catalogue import CATALOGUE
 from truenewton.estimation.effects.derivative import FittedRows, scored
-from truenewton.estimation.effects.joint import free_effects
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.readings.moments import reading_noise
 from truenewton.estimation.screening.screen import screen_campaign
@@ -209,7 +208,6 @@ def print_prices(mirror: str, cycles: int) -> None:
         moments = replace(screen_campaign(campaign).moments, pooled=True)
         problem = problem_of(campaign, reading_noise(campaign, moments))
         fit = FittedRows(problem, moments, problem.fitted(moments), independent=True)
-        free = {part.effect.code for part in free_effects(fit)}
         whole = float(np.trace(fit.minimum.reading_covariance[: day.n, : day.n]))
         for effect in CATALOGUE:
             derivative = effect.derivative(fit)
@@ -219,13 +217,12 @@ def print_prices(mirror: str, cycles: int) -> None:
             moves = result.moves[:, : day.n]
             covariance = inverse_of_positive(result.information + np.diag(1e-9 * result.whole))
             price = np.sqrt(1.0 + np.sum((covariance @ moves) * moves) / whole)
-            mark = "*" if effect.code in free else " "
             # Beyond this it is set by the small precision that keeps the inverse finite.
             known = f"{price:.4f}" if price < 100.0 else "undetermined"
-            prices[str(effect.code)][order] = known + mark
+            prices[str(effect.code)][order] = known
     print(f"{mirror}, {cycles} cycles a load\n{'':<32}" + "".join(f"{o:>15}" for o in orders))
     for code, of_order in prices.items():
-        print(f"{code:<32}" + "".join(f"{of_order.get(o, '- '):>15}" for o in orders))
+        print(f"{code:<32}" + "".join(f"{of_order.get(o, '-'):>15}" for o in orders))
 
 
 def print_summary(name: str, rows: list[Mix]) -> None:

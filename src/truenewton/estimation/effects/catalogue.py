@@ -240,8 +240,8 @@ def zero_random_walk(fit: FittedRows) -> Derivative | None:
     order = np.argsort(within.hour.sum(axis=1) / within.weight.sum(axis=1))
     if len(order) < MIN_FILES:
         return None
-    steps = np.empty((len(order), len(order) - 1))
-    steps[order] = np.tri(*steps.shape, -1)
+    steps = np.empty((len(order), len(order)))
+    steps[order] = np.tri(len(order))
     mix = from_mean(within.weight.sum(axis=1)) @ steps
     return _derivative(fit, "zero", _files(within), mix=mix)
 

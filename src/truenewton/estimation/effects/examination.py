@@ -14,13 +14,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.chance import FALSE_ALARM, OF_EACH_KIND, chance_of_any, chi2_cdf, chi2_sf, f_sf
+from truenewton.chance import FALSE_ALARM, chi2_cdf, chi2_sf, f_sf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.effects.catalogue import (
-    CATALOGUE,
     LOAD_REPOSITIONED,
     ZEROS_OF_EACH,
     Effect,
@@ -28,7 +26,6 @@ from truenewton.estimation.effects.catalogue import (
     beside_shared_noise,
     effect_tests,
     significant_tests,
-    tested,
 )
 from truenewton.estimation.effects.correction import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.effects.derivative import FittedRows, scored
@@ -37,10 +34,8 @@ from truenewton.estimation.effects.joint import (
     Joint,
     Part,
     correction,
-    free_effects,
     joined,
     new_part,
-    places,
 )
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
@@ -60,8 +55,6 @@ from truenewton.records.campaign import Campaign, load_temperatures
 from truenewton.statics.load import leaning
 
 MAX_SIMILAR = 4  # effects that are tried
-MAX_CHANCE = 0.1  # of an effect that is looked at: it is in the fit if the data support it
-MAX_PARAMETERS_OF_WEAK = 1000  # beside which such an effect is not looked for: it takes long
 MIN_GAIN = 4.0  # of the logarithm of the likelihood, twice: evidence of 7 to 1 for an effect
 MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any imbalance
 MAX_REDUCED_CHI2 = 2.0  # chi^2 over degrees of freedom that unknown forces, not normal, may leave
@@ -238,9 +231,8 @@ def _corrected(
     base = start.rows
     if not independent:
         base = FittedRows(start.problem, start.moments, start.minimum, independent)
-    free = free_effects(base) if independent and not within else ()
-    joint = joined(base, free) if free else None
-    now, first, tried = _with(start, joint, samples), start, set[Code]()
+    joint: Joint | None = None
+    now, first, tried = start, start, set[Code]()
     while True:
         fit, parts, given = base, tuple[Part, ...](), None
         if joint is not None:
@@ -250,36 +242,38 @@ def _corrected(
         shared = within and joint is None  # noise, or such an effect
         if shared:
             found = beside_shared_noise(found, fit, samples)
-        named = len(significant_tests(found))
-        weak = [test for test in found if test.log_probability < np.log(MAX_CHANCE)]
-        few = sum(len(part.theta) for part in parts) < MAX_PARAMETERS_OF_WEAK
-        found = found[:named] or (weak if few else [])
+        found = significant_tests(found)
         if not found:
             return (now if now.fits else None), first
-        if named and not first.effects:
+        if not first.effects:
             first = replace(start, effects=(_named(fit, found[0]),))
         force = None if shared else unknown_force(fit)
         if force is not None and force.log_probability < found[0].log_probability:
-            entered = any(not part.free for part in parts)
-            return _with_unknown_forces(now if entered else start), first
+            return _with_unknown_forces(now), first
         best: tuple[ExaminedFit, Joint] | None = None
-        for test in _similar(found) if named else found[:1]:
+        for test in _similar(found):
+            # The fewest parameters that fit; of as many, what the data support most.
+            if best is not None and best[0].fits:
+                if test.derivative.count > len(best[1].parts[-1].theta):
+                    break
             trial = _entered(base, fit, parts, test)
             if trial is None:
                 tried.add(test.effect.code)
                 continue
             fitted = _with(start, trial, samples)
-            if best is None or fitted.fits or trial.parts[-1].gain > best[1].parts[-1].gain:
+            if (
+                best is None
+                or (fitted.fits and not best[0].fits)
+                or (fitted.fits and trial.parts[-1].gain > best[1].parts[-1].gain)
+            ):
                 best = fitted, trial
-            if fitted.fits:
-                break
         if best is None:
             continue
         now, joint = best
         tried |= {part.effect.code for part in parts} - {part.effect.code for part in joint.parts}
         if now.fits and now.effects and not now.effects[-1].corrected:
             return None, now
-        if len(now.effects) == 1 and not parts[len(free) :]:
+        if not parts:
             first = replace(now, effects=(replace(now.effects[0], corrected=False),))
 
 
@@ -308,71 +302,20 @@ def _entered(
     return None
 
 
-def _with(start: ExaminedFit, joint: Joint | None, samples: Array) -> ExaminedFit:
-    """Return the fit with effects; those that are free are named if they are significant."""
-    if joint is None:
-        return start
+def _with(start: ExaminedFit, joint: Joint, samples: Array) -> ExaminedFit:
+    """Return the fit together with effects."""
     structure = start.structure
     if structure is not None:
         structure = structure_of(joint.moments, joint.problem.noise, samples)
-    entered = [part for part in joint.parts if not part.free and _significant(part)]
-    effects = [_found(joint.at, part) for part in (*_seen(joint), *entered)]
     return replace(
         start,
         problem=joint.problem,
         moments=joint.moments,
         minimum=joint.minimum,
         effective_parameters=joint.effective_parameters,
-        effects=tuple(effects),
+        effects=tuple(_found(joint.at, part) for part in joint.parts),
         structure=structure,
     )
-
-
-def _significant(part: Part) -> bool:
-    """Return whether an effect is named: of 400 sound campaigns one has such an effect."""
-    return chance_of_any(float(np.exp(part.log_probability)), len(CATALOGUE)) < OF_EACH_KIND
-
-
-def _seen(joint: Joint) -> list[Part]:
-    """Return the free effects that are significant, the likeliest first, each beside those before.
-
-    Free effects may be alike, as gains by hour and by file are. So the parameters of those that are
-    named are those without the others.
-    """
-    rest = [(part, k) for part, k in places(joint.parts) if part.free]
-    if not rest:
-        return []
-    everything = np.concatenate([np.arange(k.start, k.stop) for _, k in rest])
-    information = np.zeros_like(joint.covariance)
-    inverse = np.linalg.inv(joint.covariance[np.ix_(everything, everything)])
-    information[np.ix_(everything, everything)] = inverse
-    score = information @ np.concatenate([part.theta for part in joint.parts])
-    named, chosen = list[Part](), np.asarray([], dtype=np.intp)
-    while rest:
-        trials = list[tuple[Part, NDArray[np.intp], int]]()
-        for index, (part, k) in enumerate(rest):
-            both = np.concatenate([chosen, np.arange(k.start, k.stop)])
-            theta = _solved(information, both) @ score[both]
-            chi2 = (
-                theta @ score[both] - score[chosen] @ _solved(information, chosen) @ score[chosen]
-            )
-            derivative = joint.scored.derivatives[joint.parts.index(part)]
-            test = tested(joint.at, part.effect, derivative, float(chi2), part.determined, None)
-            changed = replace(
-                part, theta=theta[len(chosen) :], log_probability=test.log_probability
-            )
-            trials.append((changed, both, index))
-        best, both, index = min(trials, key=lambda trial: trial[0].log_probability)
-        if not _significant(best):
-            break
-        named, chosen = [*named, best], both
-        del rest[index]
-    return named
-
-
-def _solved(information: Array, some: NDArray[np.intp]) -> Array:
-    """Return the inverse of some rows and columns, of which gains by file have one too many."""
-    return np.asarray(np.linalg.pinv(information[np.ix_(some, some)], rcond=1e-8, hermitian=True))
 
 
 def _with_unknown_forces(now: ExaminedFit) -> ExaminedFit | None:

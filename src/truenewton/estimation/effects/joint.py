@@ -8,10 +8,7 @@ likelihood): with C the covariance of theta,
 
     tau^2 <- sum theta^2 / nu,        nu = sum (1 - C_ii / tau^2).
 
-An effect that costs little is free, tau infinite, and needs no test. What it costs, its price, is
-E_STAT with it over E_STAT without, and follows from the design of the campaign (`free_effects`).
-
-Whether the data support another is its gain, twice the logarithm of the marginal likelihood with it
+Whether the data support an effect is its gain, twice the logarithm of the marginal likelihood with it
 over that without it. By the ratio of Savage and Dickey (Dickey 1971, Ann. Math. Stat. 42, 204) it
 follows from the fit with it, of prior covariance T and posterior mean theta and covariance C:
 
@@ -39,7 +36,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.chance import normal_isf, t_isf
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.effects.catalogue import CATALOGUE, Effect, removed
+from truenewton.estimation.effects.catalogue import Effect, removed
 from truenewton.estimation.effects.derivative import Derivative, FittedRows, Scored, scored
 from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.likelihood import Minimum
@@ -47,7 +44,6 @@ from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments, reading_noise
 from truenewton.linalg import inverse_of_positive
 
-MAX_PRICE = 1.02  # of the effects that are always free
 MIN_DETERMINED = 0.3  # parameters of an effect; with fewer, its gain is below 1
 MAX_PARAMETERS = 10_000  # a matrix of them takes 0.8 GB, and several are needed
 
@@ -56,8 +52,7 @@ MAX_PARAMETERS = 10_000  # a matrix of them takes 0.8 GB, and several are needed
 class Spreads:
     """Parameters (k,) whose prior has one variance, or one more along a direction.
 
-    (1,) of all parameters; or (2,) of all else, and of those along the direction. Infinite if the
-    parameters are free.
+    (1,) of all parameters; or (2,) of all else, and of those along the direction.
     """
 
     count: int  # k
@@ -111,20 +106,13 @@ class Part:
 
     effect: Effect
     spreads: Spreads
-    variances: Array  # (1,) or (2,) tau^2 of its components, infinite if it is free
+    variances: Array  # (1,) or (2,) tau^2 of its components
     theta: Array  # (k,) its parameters
     actuators: NDArray[np.intp] | None = None  # the actuators that have parameters, if only some
     seen: Array | float = 1e-3  # the largest nu of each component so far
     log_probability: float = 0.0  # of the test by which it came into the fit
     covariance: Array | None = None  # (k, k) of theta at the end
-    # At the end, infinite if it is free; and the number of parameters that the data determine
-    gain: float = np.inf
-    determined: float = 0.0
-
-    @property
-    def free(self) -> bool:
-        """Whether its parameters have no prior."""
-        return bool(np.isinf(self.variances).all())
+    gain: float = 0.0  # at the end
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +142,6 @@ def new_part(effect: Effect, derivative: Derivative, score: Array, variance: Arr
     return Part(effect, spreads, variances, np.zeros(derivative.count), derivative.actuators)
 
 
-def free_part(effect: Effect, derivative: Derivative) -> Part:
-    """Return an effect whose parameters are free."""
-    spreads = Spreads.of(derivative)
-    infinite = np.full(len(spreads.sizes()), np.inf)
-    return Part(effect, spreads, infinite, np.zeros(derivative.count), derivative.actuators)
-
-
 def correction(fit: FittedRows, effect: Effect) -> Joint | None:
     """Estimate an effect together with alpha; None if it does not converge, or is too large."""
     first = effect.derivative(fit)
@@ -185,23 +166,23 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
         if len(derivatives) < len(parts):
             return None
         result, theta = scored(at, *derivatives), np.concatenate([part.theta for part in parts])
-        precision = _precision(parts, [part.variances for part in parts], result)
+        precision = _precision(parts, [part.variances for part in parts])
         try:  # an effect without any size does not converge
             inverse = _covariance(result.information, precision)
         except np.linalg.LinAlgError:
             return None
         determined = [
-            part.free or part.spreads.determined(inverse[k, k], part.variances).sum()
-            for part, k in places(parts)
+            float(part.spreads.determined(inverse[k, k], part.variances).sum())
+            for part, k in _places(parts)
         ]
         if iteration > 2 and min(determined) < MIN_DETERMINED:
             index = int(np.argmin(determined))
             return joined(fit, (*parts[:index], *parts[index + 1 :]), at) if parts[1:] else None
         step = -inverse @ (result.score + precision @ theta)
-        parts = tuple(_with_nu(part, inverse[k, k]) for part, k in places(parts))
+        parts = tuple(_with_nu(part, inverse[k, k]) for part, k in _places(parts))
         # Theta has converged if its step is below 0.01 standard errors.
         if settled and float(step @ result.information @ step) < 1e-4:
-            return _ended(at, parts, result, inverse, precision)
+            return _ended(at, parts, result, inverse)
         theta = theta + step
         parts, settled = _moved(parts, theta, inverse)
         effects = [(each, part.theta) for each, part in zip(derivatives, parts, strict=True)]
@@ -217,21 +198,15 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
     return None
 
 
-def places(parts: Sequence[Part]) -> list[tuple[Part, slice]]:
+def _places(parts: Sequence[Part]) -> list[tuple[Part, slice]]:
     """Return the parts with the places of their parameters among all."""
     ends = np.cumsum([len(part.theta) for part in parts])
     return [(p, slice(end - len(p.theta), end)) for p, end in zip(parts, ends, strict=True)]
 
 
-def _precision(parts: Sequence[Part], variances: Sequence[Array], result: Scored) -> Array:
-    """Return the (k, k) inverse of the prior covariance of all parameters.
-
-    That of a free one is 0, but for rounding: gains by file have a mean of 0, and so one too many.
-    """
-    each = [
-        np.diag(1e-9 * result.whole[k]) if part.free else part.spreads.precision(v)
-        for (part, k), v in zip(places(parts), variances, strict=True)
-    ]
+def _precision(parts: Sequence[Part], variances: Sequence[Array]) -> Array:
+    """Return the (k, k) inverse of the prior covariance of all parameters."""
+    each = [part.spreads.precision(v) for part, v in zip(parts, variances, strict=True)]
     return np.asarray(scipy.linalg.block_diag(*each))
 
 
@@ -247,10 +222,7 @@ def _moved(parts: Sequence[Part], theta: Array, inverse: Array) -> tuple[tuple[P
     A spread has converged if it moves by less than 1 % of the scatter of its parameters.
     """
     moved, settled = [], True
-    for part, k in places(parts):
-        if part.free:
-            moved.append(replace(part, theta=theta[k]))
-            continue
+    for part, k in _places(parts):
         before = part.variances
         nu = np.maximum(part.spreads.determined(inverse[k, k], before), 1e-3)
         variances = np.maximum(part.spreads.squares(theta[k]) / nu, 1e-300)
@@ -259,22 +231,18 @@ def _moved(parts: Sequence[Part], theta: Array, inverse: Array) -> tuple[tuple[P
     return tuple(moved), settled
 
 
-def _ended(
-    at: FittedRows, parts: tuple[Part, ...], result: Scored, inverse: Array, precision: Array
-) -> Joint:
+def _ended(at: FittedRows, parts: tuple[Part, ...], result: Scored, inverse: Array) -> Joint:
     """Return the fit with the covariance of its effects."""
     wide, ended = [], []
-    for part, k in places(parts):
+    for part, k in _places(parts):
         own = inverse[k, k]
         nu = np.maximum(part.spreads.determined(own, part.variances), 1e-3)
         spread = 1.0 + (excess_of_t(np.asarray(part.seen)) - 1.0) * part.seen / nu
-        wide.append(part.variances if part.free else part.variances * spread)
-        determined = len(part.theta) - float(np.sum(own * precision[k, k]))
-        gain = np.inf if part.free else _gain(part, own)
-        ended.append(replace(part, gain=gain, determined=determined))
-    covariance = _covariance(result.information, _precision(parts, wide, result))
+        wide.append(part.variances * spread)
+        ended.append(replace(part, gain=_gain(part, own)))
+    covariance = _covariance(result.information, _precision(parts, wide))
     problem, minimum = at.problem.with_error(at.minimum, result.moves, covariance)
-    parts = tuple(replace(part, covariance=covariance[k, k]) for part, k in places(ended))
+    parts = tuple(replace(part, covariance=covariance[k, k]) for part, k in _places(ended))
     effective = float(np.sum(inverse * result.by_balance))
     return Joint(problem, at.moments, minimum, parts, at, result, covariance, effective)
 
@@ -308,43 +276,3 @@ def _with_new_noise(problem: Problem, moments: Moments) -> Problem:
     noise = reading_noise(problem.campaign, moments)
     share, freedom = problem.noise.share, problem.noise.share_freedom
     return replace(problem, noise=replace(noise, share=share, share_freedom=freedom))
-
-
-# -- what is free ----------------------------------------------------------------------------------
-
-
-def free_effects(fit: FittedRows) -> tuple[Part, ...]:
-    """Return the effects that all actuators share and whose price is small, the cheapest first.
-
-    The price of all of them together is at most `MAX_PRICE`.
-    """
-    shared = [
-        (effect, derivative)
-        for effect in CATALOGUE
-        if effect.corrected(fit)
-        and (derivative := effect.derivative(fit)) is not None
-        and derivative.of_each is None
-    ]
-    if not shared:
-        return ()
-    result, n = scored(fit, *(derivative for _, derivative in shared)), fit.problem.n
-    information, moves = result.information, result.moves[:, :n]
-    whole = float(np.trace(fit.minimum.reading_covariance[:n, :n]))
-    ends = np.cumsum([derivative.count for _, derivative in shared])
-    places = [np.arange(e - d.count, e) for e, (_, d) in zip(ends, shared, strict=True)]
-
-    def price(some: Array) -> float:
-        try:
-            least = np.diag(1e-9 * result.whole[some])
-            covariance = inverse_of_positive(information[np.ix_(some, some)] + least)
-        except np.linalg.LinAlgError:
-            return np.inf
-        return float(np.sqrt(1.0 + np.sum((covariance @ moves[some]) * moves[some]) / whole))
-
-    chosen, places_of_chosen = list[int](), np.empty(0, dtype=np.intp)
-    for index in np.argsort([price(some) for some in places]):
-        more = np.concatenate([places_of_chosen, places[index]])
-        if price(more) < MAX_PRICE:
-            chosen.append(int(index))
-            places_of_chosen = more
-    return tuple(free_part(*shared[index]) for index in chosen)
