@@ -21,15 +21,10 @@ from truenewton.estimation.effects.catalogue import (
     significant_tests,
 )
 from truenewton.estimation.effects.correction import unknown_force
-from truenewton.estimation.effects.derivative import (
-    FittedRows,
-    log_chance,
-    scored,
-    surely_sound,
-    variance_at_least,
-)
+from truenewton.estimation.effects.derivative import FittedRows, scored, variance_at_least
 from truenewton.estimation.effects.examination import chi2_probability
 from truenewton.estimation.effects.joint import correction
+from truenewton.estimation.effects.score_test import log_chance, surely_sound
 from truenewton.estimation.findings.catalogue import ENTRIES
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.problem import problem_of
@@ -383,7 +378,8 @@ def random_walk(bench, size, *, balanced=True):
     change = np.diff(bench.order)
     if balanced:
         jumps -= change * (change @ jumps) / (change @ change)
-    bench.zero = np.concatenate([[0.0], np.cumsum(jumps)])[bench.file][:, None]
+    jumps = np.concatenate([[0.0], jumps])  # that before the first file is of all: none
+    bench.zero = np.cumsum(jumps)[bench.file][:, None]
     return jumps
 
 

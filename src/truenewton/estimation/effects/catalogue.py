@@ -25,15 +25,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, f_logsf
-from truenewton.estimation.effects.derivative import (
-    Columns,
-    Derivative,
-    FittedRows,
-    Given,
-    OfEach,
-    chi2_of,
-    log_chance,
-)
+from truenewton.estimation.effects.derivative import Columns, Derivative, FittedRows, OfEach
 from truenewton.estimation.effects.fields import (
     Field,
     columns_of,
@@ -43,6 +35,7 @@ from truenewton.estimation.effects.fields import (
     standing_out,
     without,
 )
+from truenewton.estimation.effects.score_test import Given, chi2_of, log_chance
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import bias_per_gain
 from truenewton.estimation.problem import Problem

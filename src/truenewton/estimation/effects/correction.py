@@ -36,8 +36,9 @@ from truenewton.estimation.effects.catalogue import (
     on_loads,
     parts_of_positions,
 )
-from truenewton.estimation.effects.derivative import FittedRows, log_chance, scored
+from truenewton.estimation.effects.derivative import FittedRows, scored
 from truenewton.estimation.effects.joint import correction
+from truenewton.estimation.effects.score_test import log_chance
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import (
     MAGNET_COEFFICIENT,

@@ -1,10 +1,10 @@
 """The examination of a fit: which effects the data contain, which are taken out, and what is left.
 
-The likeliest effect is estimated together with alpha, then the catalogue is tested again, at most
-four times. A correction is accepted only if both the balance of the shapes and their repetition
-over loads and signs fit afterwards. Of similarly likely effects the one with the fewest parameters
-is taken. If no correction makes the data fit, none is taken out, and the errors grow with the
-misfit.
+The likeliest effect is fitted together with alpha and with all effects before it (`joint`); then
+the others are tested again, with all these free, until none is significant. Of similarly likely
+effects the one with the fewest parameters is taken, and of as many the one that the data support
+most. The fit is accepted only if both the balance of the shapes and their repetition over loads and
+signs fit. Otherwise no effect is taken out, and the errors grow with the misfit.
 """
 
 from __future__ import annotations
@@ -253,9 +253,8 @@ def _corrected(
         best: tuple[ExaminedFit, Joint] | None = None
         for test in _similar(found):
             # The fewest parameters that fit; of as many, what the data support most.
-            if best is not None and best[0].fits:
-                if test.derivative.count > len(best[1].parts[-1].theta):
-                    break
+            if best and best[0].fits and test.derivative.count > best[1].parts[-1].count:
+                break
             trial = _entered(base, fit, parts, test)
             if trial is None:
                 tried.add(test.effect.code)

@@ -35,9 +35,9 @@ from truenewton.estimation.effects.derivative import (
     FittedRows,
     OfEach,
     Some,
-    chi2_of_each,
     mixed,
 )
+from truenewton.estimation.effects.score_test import chi2_of_each
 from truenewton.estimation.readings.moments import Moments, WithinGroups
 
 CHANCE_OF_ANY_ACTUATOR = 1e-2 * OF_EACH_KIND  # that any actuator of a sound mirror is chosen

@@ -8,9 +8,9 @@ likelihood): with C the covariance of theta,
 
     tau^2 <- sum theta^2 / nu,        nu = sum (1 - C_ii / tau^2).
 
-Whether the data support an effect is its gain, twice the logarithm of the marginal likelihood with it
-over that without it. By the ratio of Savage and Dickey (Dickey 1971, Ann. Math. Stat. 42, 204) it
-follows from the fit with it, of prior covariance T and posterior mean theta and covariance C:
+Whether the data support an effect is its gain, twice the logarithm of the marginal likelihood with
+it over that without it. It follows from the fit with it, of prior covariance T and posterior mean
+theta and covariance C, by the ratio of Savage and Dickey (Dickey 1971, Ann. Math. Stat. 42, 204):
 
     theta' C^-1 theta + log det C - log det T.
 
@@ -114,6 +114,11 @@ class Part:
     covariance: Array | None = None  # (k, k) of theta at the end
     gain: float = 0.0  # at the end
 
+    @property
+    def count(self) -> int:
+        """Number of its parameters."""
+        return len(self.theta)
+
 
 @dataclass(frozen=True, eq=False)
 class Joint:
@@ -200,8 +205,8 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
 
 def _places(parts: Sequence[Part]) -> list[tuple[Part, slice]]:
     """Return the parts with the places of their parameters among all."""
-    ends = np.cumsum([len(part.theta) for part in parts])
-    return [(p, slice(end - len(p.theta), end)) for p, end in zip(parts, ends, strict=True)]
+    ends = np.cumsum([part.count for part in parts])
+    return [(p, slice(end - p.count, end)) for p, end in zip(parts, ends, strict=True)]
 
 
 def _precision(parts: Sequence[Part], variances: Sequence[Array]) -> Array:
