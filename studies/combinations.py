@@ -3,6 +3,7 @@
     python -m studies.combinations                       120 mixes of three effects
     python -m studies.combinations --effects 2 --mixes 60 --first 500
     python -m studies.combinations --list                each mix on a line
+    python -m studies.combinations --prices              what a free effect costs
 
 A mix is drawn by its seed: the effects, their size (1 or 3 times the usual one, which is small for
 a bench), and the noise of a reading (0.05, 0.2 or 1 mN). The weights are declared without error,
@@ -12,6 +13,10 @@ because two loads cannot show one; stated errors are statistical. The columns ar
     error/stated   median and largest ratio of rms error to rms stated error
     over 3         results with a ratio above 3 whose verdict is not *doubtful* or worse
     S U D R -      verdicts: sound, usable, doubtful, rejected; no alpha
+
+The price of an effect is E_STAT with the effect free over E_STAT without it, in a fit to a sound
+campaign. Columns are of loads in turn and in a row.
+Without a prior, the balance cannot distinguish *undetermined* effects from alpha.
 """
 
 from __future__ import annotations
@@ -22,7 +27,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -35,6 +40,12 @@ from studies.faults import LETTERS
 from studies.faulty.bench import Day, bench_of
 from studies.faulty.fault import ORDERS
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
+from truenewton.estimation.effects.catalogue import CATALOGUE
+from truenewton.estimation.effects.derivative import FittedRows, scored
+from truenewton.estimation.problem import problem_of
+from truenewton.estimation.readings.moments import reading_noise
+from truenewton.estimation.screening.screen import screen_campaign
+from truenewton.linalg import inverse_of_positive
 
 Array = np.ndarray
 SEED = 46
@@ -186,6 +197,34 @@ def mix(seed: int, count: int, mirror: str, cycles: int) -> Mix:
     )
 
 
+def print_prices(mirror: str, cycles: int) -> None:
+    """Print the price of each effect in a sound campaign, with loads in turn and in a row."""
+    warnings.simplefilter("ignore", TrueNewtonWarning)
+    prices: dict[str, dict[str, str]] = {str(effect.code): {} for effect in CATALOGUE}
+    orders = ("in turn", "in a row")
+    for order in orders:
+        day = Day(bench_of(mirror), 0, NOISES[1], ORDERS[order](cycles))
+        campaign = day.campaign()
+        moments = replace(screen_campaign(campaign).moments, pooled=True)
+        problem = problem_of(campaign, reading_noise(campaign, moments))
+        fit = FittedRows(problem, moments, problem.fitted(moments), independent=True)
+        whole = float(np.trace(fit.minimum.reading_covariance[: day.n, : day.n]))
+        for effect in CATALOGUE:
+            derivative = effect.derivative(fit)
+            if derivative is None:
+                continue
+            result = scored(fit, derivative)
+            moves = result.moves[:, : day.n]
+            covariance = inverse_of_positive(result.information + np.diag(1e-9 * result.whole))
+            price = np.sqrt(1.0 + np.sum((covariance @ moves) * moves) / whole)
+            # Beyond this it is set by the small precision that keeps the inverse finite.
+            known = f"{price:.4f}" if price < 100.0 else "undetermined"
+            prices[str(effect.code)][order] = known
+    print(f"{mirror}, {cycles} cycles a load\n{'':<32}" + "".join(f"{o:>15}" for o in orders))
+    for code, of_order in prices.items():
+        print(f"{code:<32}" + "".join(f"{of_order.get(o, '-'):>15}" for o in orders))
+
+
 def print_summary(name: str, rows: list[Mix]) -> None:
     """Print the figures of some mixes on a line."""
     known = [row for row in rows if row.grade != "-"]
@@ -211,7 +250,11 @@ def main() -> None:
     parser.add_argument("--mirror", choices=("p45", "336"), default="p45")
     parser.add_argument("--cycles", type=int, default=4, help="under each load")
     parser.add_argument("--list", action="store_true", help="print each mix")
+    parser.add_argument("--prices", action="store_true", help="print the price of each effect")
     options = parser.parse_args()
+    if options.prices:
+        print_prices(options.mirror, options.cycles)
+        return
     one = partial(mix, count=options.effects, mirror=options.mirror, cycles=options.cycles)
     with ProcessPoolExecutor() as pool:
         rows = list(pool.map(one, range(options.first, options.first + options.mixes)))

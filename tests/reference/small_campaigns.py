@@ -42,10 +42,12 @@ BARE = tn.Load("bare")
 
 
 def files(
-    change: Callable[[SmallBench], object] = lambda _: None, noise: float = 1e-4
+    change: Callable[[SmallBench], object] = lambda _: None,
+    noise: float = 1e-4,
+    **order: tuple[int, ...],
 ) -> tn.Campaign:
     """Return a campaign on a bench that a function changes."""
-    bench = SmallBench(3, noise)
+    bench = SmallBench(3, noise, **order)
     change(bench)
     return bench.campaign()
 
@@ -80,6 +82,18 @@ def in_proportion(bench: SmallBench) -> None:
     bench.error = bench.error + 0.01 * force * bench.random.standard_normal(force.shape)
 
 
+def zeros_that_jump(bench: SmallBench) -> None:
+    """Let the zero of all jump before each file, and stay."""
+    jumps = 2e-4 * bench.random.standard_normal(len(bench.order))
+    bench.zero = np.cumsum(jumps)[bench.file][:, None]
+
+
+def flatter(bench: SmallBench) -> None:
+    """Let NZ be less than declared, by 1 % at 0.1 m from the centre."""
+    bench.arms = bench.arms.copy()
+    bench.arms[0] -= bench.arms[1] ** 2 + bench.arms[2] ** 2
+
+
 def stuck_with_noise() -> Result:
     """Return the verdict alone: alpha of what reads the same in all rows is rounding."""
     reads = every(
@@ -109,6 +123,7 @@ small("files", {
         simulated(24),
         layout=lambda c: replace(c.layout, x=c.layout.x + 0.05 * (np.arange(24) == 5)),
     ),
+    "a shell of another curvature": lambda: files(flatter, noise=1e-3),
 })  # fmt: skip
 
 small("actuators", {
@@ -160,6 +175,7 @@ small("noise", {
     )),
     "in proportion to the force": lambda: files(in_proportion),
     "zeros reset with each file": lambda: gradients(9, 1e-5, 1e-5, zeros=1e-2)[0],
+    "zeros that jump and stay": lambda: files(zeros_that_jump, order=(0, 1, 0, 1, 0, 1, 0, 1)),
     "svd": lambda: tn.calibrate(files(), "svd"),
     "svd, loud": lambda: tn.calibrate(files(noise=1e-2), "svd"),
     "svd, a spike": lambda: tn.calibrate(with_spike(files(), 2, 4, 3, 0.3), "svd"),

@@ -10,7 +10,7 @@ import truenewton as tn
 from helpers.balanced import changed
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.chance import normal_isf
-from truenewton.estimation.effects.correction import excess_of_t
+from truenewton.estimation.effects.joint import excess_of_t
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load

@@ -16,30 +16,26 @@ M the rows less the groups. Parameters of each actuator are as many as are indep
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.chance import OF_EACH_KIND, f_logsf
-from truenewton.estimation.effects.derivative import (
-    Derivative,
-    FittedRows,
-    OfEach,
-    chi2_of,
-    log_chance,
-)
+from truenewton.estimation.effects.derivative import Columns, Derivative, FittedRows, OfEach
 from truenewton.estimation.effects.fields import (
     Field,
-    FieldSums,
+    columns_of,
     derivative_of,
-    field_sums,
     from_mean,
     functions_with,
     standing_out,
+    without,
 )
+from truenewton.estimation.effects.score_test import Given, chi2_of, log_chance
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import bias_per_gain
 from truenewton.estimation.problem import Problem
@@ -56,6 +52,7 @@ WITHIN_GROUPS = {
     Code.ZERO_BY_HOUR_OF_EACH,
     Code.ZERO_BY_FILE,
     Code.ZERO_BY_FILE_OF_EACH,
+    Code.ZERO_RANDOM_WALK,
     Code.LOAD_REPOSITIONED,
 }
 POWERS = {"gain": 1, "coil": 1, "quadratic": 2, "cubic": 3}  # of c^ in effects, by their code
@@ -96,19 +93,19 @@ def _gain(fit: FittedRows) -> Field:
     loads = np.delete((of_load - mean).T, int(lean.argmin()), axis=0)
     within = len(fit.moments.within.first)
     functions = functions_with(fit.moments, loads)
-    return Field(lambda _, c: -c, functions, within, each=within, gain=True)
+    return Field(lambda _, c: -c, functions, within, gain=True)
 
 
 def _zero(fit: FittedRows) -> Field:
     """Return g = h, h by file and by hour, also of each actuator."""
     groups = len(fit.moments.mean)
     functions = functions_with(fit.moments, np.empty((0, groups)))
-    return Field(lambda *_: np.ones((groups, 1)), functions, len(functions), each=len(functions))
+    return Field(lambda *_: np.ones((groups, 1)), functions, len(functions))
 
 
 def _bend(fit: FittedRows, bent: Callable[[Array], Array]) -> Field:
     """Return g = -c^2 or -c^3 in all rows, also of each actuator."""
-    return Field(lambda _, c: -bent(c), fit.moments.weight[None], each=1)
+    return Field(lambda _, c: -bent(c), fit.moments.weight[None])
 
 
 def _displacement(fit: FittedRows) -> Field:
@@ -126,17 +123,38 @@ FIELDS: dict[str, Callable[[FittedRows], Field]] = {
 }
 
 
-def _sum_fields(fit: FittedRows, names: Sequence[str]) -> None:
-    """Sum fields that several effects share, in one pass over the readings."""
-    sums = field_sums(fit, [FIELDS[name](fit) for name in names])
-    fit.found.update(zip(names, sums, strict=True))
+def columns_at(fit: FittedRows) -> tuple[Columns, dict[str, Field]]:
+    """Return the sums of all fields at a fit, taken once."""
+    if "columns" not in fit.found:
+        displaced = fit.moments.displacement is not None
+        fields = {k: of(fit) for k, of in FIELDS.items() if displaced or k != "displacement"}
+        columns = columns_of(fit, fields, fit.found.get("before"))
+        fit.found["fields"], fit.found["columns"] = fields, columns
+    return fit.found["columns"], fit.found["fields"]
 
 
-def _sums(fit: FittedRows, name: str) -> FieldSums:
-    if name not in fit.found:
-        _sum_fields(fit, [name])
-    found: FieldSums = fit.found[name]
-    return found
+def removed(
+    fit: FittedRows,
+    data: tuple[Problem, Moments],
+    effects: Sequence[tuple[Derivative, Array]],
+) -> tuple[Problem, Moments]:
+    """Return problem and moments without effects, each with its (k,) parameters."""
+    problem, moments = data
+    size = sum((each.sizes(theta) for each, theta in effects), start=np.zeros(1))
+    if np.any(size):
+        columns, fields = columns_at(fit)
+        size = np.broadcast_to(size, columns.score.shape)
+        moments = without(fit, columns, fields, moments, size)
+    for each, theta in effects:
+        if each.remove is not None:
+            problem, moments = each.remove(problem, moments, theta)
+    return problem, moments
+
+
+def _derivative(fit: FittedRows, name: str, *functions: slice, **options: Any) -> Derivative:
+    """Return `derivative_of` of a field by its name."""
+    columns, fields = columns_at(fit)
+    return derivative_of(fit, columns, (name, fields[name]), *functions, **options)
 
 
 # -- effects on readings --------------------------------------------------------------------------
@@ -155,7 +173,7 @@ def by_hour(fit: FittedRows, field: str, *, each: bool) -> Derivative | None:
     if not np.any(within.square > 0):
         return None
     files = len(within.weight)
-    return derivative_of(fit, _sums(fit, field), slice(files, files + 1), each=each)
+    return _derivative(fit, field, slice(files, files + 1), each=each)
 
 
 def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
@@ -163,15 +181,15 @@ def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
     within = fit.moments.within
     if len(within.weight) < MIN_FILES:
         return None
-    gain, files, mix = _sums(fit, "gain"), _files(within), from_mean(within.weight.sum(axis=1))
+    files, mix = _files(within), from_mean(within.weight.sum(axis=1))
     if not single:
-        return derivative_of(fit, gain, files, mix=mix)
+        return _derivative(fit, "gain", files, mix=mix)
     affected = fit.affected
     if affected is None:
-        affected = standing_out(gain, files, mix)
+        affected = standing_out(columns_at(fit)[0], files, mix)
         if not 0 < affected.size <= max(1, MAX_AFFECTED_FRACTION * fit.problem.n):
             return None
-    return derivative_of(fit, gain, files, each=True, mix=mix, actuators=affected)
+    return _derivative(fit, "gain", files, each=True, mix=mix, actuators=affected)
 
 
 def gain_by_load(fit: FittedRows) -> Derivative | None:
@@ -182,19 +200,15 @@ def gain_by_load(fit: FittedRows) -> Derivative | None:
     """
     if len(fit.moments.loads) < 2:
         return None
-    gain, lean = _sums(fit, "gain"), leaning(fit.moments.loads)
-    readings = derivative_of(fit, gain, slice(gain.field.within, len(gain.score)))
+    lean, field = leaning(fit.moments.loads), columns_at(fit)[1]["gain"]
+    readings = _derivative(fit, "gain", slice(field.within, len(field.first)))
     ratio = bias_per_gain(fit.problem.campaign)
     if not lean.any() or ratio is None:
         return readings
     nearer = np.delete(fit.moments.of_load * lean, int(lean.argmin()), axis=1)
     magnets = on_balance(fit, ratio * fit.problem.a.sum(axis=1)[None, :, None] * nearer[:, None])
-
-    def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return magnets.remove(*readings.remove(problem, moments, theta), theta)
-
     jacobian = np.asarray(readings.jacobian) + np.asarray(magnets.jacobian)  # all share each size
-    return replace(readings, remove=remove, jacobian=jacobian)
+    return replace(readings, remove=magnets.remove, jacobian=jacobian)
 
 
 def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -207,19 +221,34 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     if len(within.weight) < MIN_FILES:
         return None
     direction = fit.scaled_arms[0] if each else None
-    return derivative_of(fit, _sums(fit, "zero"), _files(within), each=each, direction=direction)
+    return _derivative(fit, "zero", _files(within), each=each, direction=direction)
+
+
+def zero_random_walk(fit: FittedRows) -> Derivative | None:
+    """Return a zero, the same for all, that changes from each file to the next, and stays.
+
+    Zeros by file are independent of each other; what has been moved, or drifts, is not.
+    """
+    within = fit.moments.within
+    order = np.argsort(within.hour.sum(axis=1) / within.weight.sum(axis=1))
+    if len(order) < MIN_FILES:
+        return None
+    steps = np.empty((len(order), len(order)))
+    steps[order] = np.tri(len(order))
+    mix = from_mean(within.weight.sum(axis=1)) @ steps
+    return _derivative(fit, "zero", _files(within), mix=mix)
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
     """Return a gradient of the force of coils besides COILGRAD: g = -c^ z."""
     if fit.moments.displacement is None:
         return None
-    return derivative_of(fit, _sums(fit, "displacement"))
+    return _derivative(fit, "displacement")
 
 
 def of_field(fit: FittedRows, field: str, *, each: bool) -> Derivative:
     """Return non-linear coils: g = -c^2 (field 'square') or -c^3 ('cube'), of all or of each."""
-    return derivative_of(fit, _sums(fit, field), each=each)
+    return _derivative(fit, field, each=each)
 
 
 # -- effects on the balance and on the arms -------------------------------------------------------
@@ -273,7 +302,7 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
 
     return Derivative(
         2 * b,
-        remove,
+        remove=remove,
         of_each=OfEach(
             arms=arms.reshape(3, 2 * b),
             rows=lambda: rows,
@@ -292,15 +321,35 @@ def parts_of_positions(fit: FittedRows) -> Iterator[Derivative]:
         yield positions(fit, slice(start, min(start + 64, n)))
 
 
+def shell_curvature(fit: FittedRows) -> Derivative:
+    """Return an error of NZ by 1 / R^2 of the shell: nz less by r^2 / 2 times it, r the radius."""
+    a, alpha = fit.problem.a, fit.alpha
+    less = np.zeros_like(a)
+    less[0] = -0.5 * (a[1] ** 2 + a[2] ** 2)
+    jacobian = (fit.fitted_rows @ (less * alpha).T)[:, :, None]
+
+    def spurious() -> tuple[Array, Array]:
+        s_inverse, pulled = fit.root.T @ fit.root, alpha * less[0]
+        noise = pulled @ fit.noise_covariance(slice(None))
+        count = len(fit.fitted_rows)
+        on_alpha = count * noise * (s_inverse[0] @ a)
+        return on_alpha[None], np.array([[count * s_inverse[0, 0] * (noise @ pulled)]])
+
+    def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return replace(problem, moved=problem.moved + theta[0] * less), moments
+
+    return Derivative(1, remove=remove, jacobian=jacobian, spurious=spurious)
+
+
 def on_balance(fit: FittedRows, change: Array) -> Derivative:
     """Return an effect that adds (g, 3, k) to the balance of each group."""
     groups, _, k = change.shape
     jacobian = fit.moments.pooling.rows(change.reshape(groups, 3 * k)).reshape(-1, 3, k)
 
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return problem, replace(moments, known=moments.known + change @ theta)
+        return problem, moments.with_forces(known=moments.known + change @ theta)
 
-    return Derivative(k, remove, jacobian=jacobian)
+    return Derivative(k, remove=remove, jacobian=jacobian)
 
 
 def on_loads(fit: FittedRows, loads: Sequence[bool] | slice = slice(1, None)) -> Array:
@@ -361,6 +410,7 @@ CATALOGUE: tuple[Effect, ...] = (
            "actuator"),
     Effect(Code.ZERO_BY_FILE, "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,
+    Effect(Code.ZERO_RANDOM_WALK, "N", zero_random_walk, _ZERO),
     Effect(Code.QUADRATIC_COIL, "1/N", partial(of_field, field="square", each=False), _QUADRATIC),
     Effect(Code.QUADRATIC_COIL_OF_EACH, "1/N", partial(of_field, field="square", each=True),
            _QUADRATIC, "actuator"),
@@ -375,6 +425,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect(Code.CONTACT_IN_ONE_SIGN_BY_LOAD, "N, N m", partial(contact, by_load=True), _TOUCH,
            "load"),
     POSITIONS,
+    Effect(Code.SHELL_CURVATURE, "1/m2", shell_curvature, "correct NZ in ACTUATORS"),
 )  # fmt: skip
 
 
@@ -392,30 +443,41 @@ class EffectTest:
     log_probability: float
 
 
-def effect_tests(fit: FittedRows, *, bounded: bool = False) -> list[EffectTest]:
-    """Return the tests of the catalogue at a fit, the likeliest effect first.
+def effect_tests(
+    fit: FittedRows,
+    given: Given | None = None,
+    left_out: Collection[Code] = (),
+    *,
+    bounded: bool = False,
+) -> list[EffectTest]:
+    """Return the tests of the catalogue at a fit, the likeliest first, but those ``left_out``.
 
-    ``bounded``: as in `chi2_of`.
+    ``given`` and ``bounded``: as in `chi2_of`.
     """
-    displaced = fit.moments.displacement is not None
-    _sum_fields(fit, [name for name in FIELDS if displaced or name != "displacement"])
-    made = ((effect, effect.derivative(fit)) for effect in CATALOGUE)
+    made = ((effect, effect.derivative(fit)) for effect in CATALOGUE if effect.code not in left_out)
     effects = [(effect, each) for effect, each in made if each is not None and each.count]
-    found = chi2_of(fit, [derivative for _, derivative in effects], bounded=bounded)
-    if fit.moments.by_force:
-        found = [one and _in_uneven_noise(fit, *pair, *one[:2])
-                 for pair, one in zip(effects, found, strict=True)]  # fmt: skip
-    each = [EffectTest(*pair, *one) for pair, one in zip(effects, found, strict=True) if one]
+    found = chi2_of(fit, [derivative for _, derivative in effects], given, bounded=bounded)
+    each = [tested(fit, *pair, *one) for pair, one in zip(effects, found, strict=True) if one]
     return sorted(each, key=lambda test: test.log_probability)
 
 
-def _in_uneven_noise(
-    fit: FittedRows, effect: Effect, _: Derivative, statistic: float, freedom: float
-) -> tuple[float, float, float]:
-    """Return the test of an effect if the noise grows with the force, and so along its pattern."""
+def tested(
+    fit: FittedRows,
+    effect: Effect,
+    derivative: Derivative,
+    chi2: float,
+    freedom: float,
+    log_probability: float | None,
+) -> EffectTest:
+    """Return the test of an effect by its chi^2.
+
+    If the noise grows with the force, it does so along the pattern of the effect, too.
+    """
     power = next((p for code, p in POWERS.items() if effect.code.startswith(code)), 0)
-    statistic /= fit.moments.noise_along(power) if power else 1.0
-    return statistic, freedom, float(log_chance(statistic, freedom))
+    if log_probability is None or (power and fit.moments.by_force):
+        chi2 /= fit.moments.noise_along(power) if power else 1.0
+        log_probability = float(log_chance(chi2, freedom))
+    return EffectTest(effect, derivative, chi2, freedom, log_probability)
 
 
 def significant_tests(found: Sequence[EffectTest]) -> list[EffectTest]:

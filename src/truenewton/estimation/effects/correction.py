@@ -1,4 +1,4 @@
-"""Effects that are taken out of the data, or that only the errors contain.
+"""Effects that only the errors contain.
 
 A force that comes and goes at one actuator (friction, dust in its gap, a cable that pulls) adds
 a_i f_r to the imbalance of every row, a_i the arms of the actuator and f_r unknown. With
@@ -8,22 +8,6 @@ u_i = S^-1/2 a_i / |S^-1/2 a_i| the rows S^-1/2 rho have along u_i
 
 J in terms of S^-1/2. If one stands out, S + tau^2 a_i a_i' replaces S, with tau^2 such that T_i is
 as expected; so the other actuators are judged without this disturbance.
-
-The parameters theta of an effect are unknowns with a normal prior about 0 of spread tau. At every
-theta the data without the effect are fitted as usual (`Derivative.remove`), and theta takes a
-Newton step with its score and information, all else being free. The data determine tau (MacKay
-1992, Neural Computation 4, 415): with C the covariance of theta,
-
-    tau^2 <- sum theta^2 / nu,        nu = sum (1 - C_ii / tau^2).
-
-Zeros of each actuator in each file have two spreads: one of their sums over actuators, weighted as
-forces, and one of all else. A sum moves the common scale, and zeros that all actuators share move
-it most.
-
-A spread found from nu parameters is uncertain, and theta with it: its distribution is Student's t
-(Box and Tiao 1973, Bayesian Inference in Statistical Analysis, 2.7). So C of the result has tau^2
-larger by (t_nu / 1.96)^2, with the limits of 95 % of both distributions. The covariance B' C B of
-every correction is added to that of the unknowns, in every later fit (`Problem.with_error`).
 
 Under two loads the sums of the forces at rest are two equations for two unknowns, the common scale
 and B, and no test is possible (docs/effects.md). An effect of parameters theta, of usual size s,
@@ -45,30 +29,26 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
-from truenewton.chance import OF_EACH_KIND, chance_of_any, normal_isf, t_isf
-from truenewton.errors import NotConverged, RankDeficient
+from truenewton.chance import OF_EACH_KIND, chance_of_any
 from truenewton.estimation.effects.catalogue import (
     POSITIONS,
-    Effect,
     on_balance,
     on_loads,
     parts_of_positions,
 )
-from truenewton.estimation.effects.derivative import Derivative, FittedRows, log_chance, scored
+from truenewton.estimation.effects.derivative import FittedRows, scored
+from truenewton.estimation.effects.joint import correction
+from truenewton.estimation.effects.score_test import log_chance
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import (
     MAGNET_COEFFICIENT,
     NEGLIGIBLE_SCALE_ERROR,
-    NoiseSource,
     UnseenError,
     bias_per_gain,
     weight_by_coil_shift,
 )
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.problem import Fitted, Problem
-from truenewton.estimation.readings.moments import Moments, reading_noise
-from truenewton.linalg import inverse_of_positive
 from truenewton.records.campaign import load_temperatures
 from truenewton.statics.load import LIKELY_COIL_SHIFT, TYPICAL_GRADIENTS, leaning
 
@@ -115,147 +95,6 @@ def disturbed(problem: Problem, force: UnknownForce) -> Problem:
     arm = problem.a[:, force.index]
     added = force.size**2 * np.outer(arm, arm)
     return replace(problem, disturbance=problem.disturbance + added)
-
-
-# -- an effect taken out ---------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """Data without an effect, and the fit to them."""
-
-    # (k,) its parameters, their (k, k) covariance, and nu
-    theta: Array
-    covariance: Array
-    effective_parameters: float
-    # (1,) their tau^2; (2,) if they have a direction: of all else, and along it
-    variances: Array
-    # The data without it and their fit, whose covariance includes the error of the effect
-    moments: Moments
-    problem: Problem
-    minimum: Minimum
-
-
-@dataclass(frozen=True, eq=False)
-class Spreads:
-    """Parameters (k,) whose prior has one variance, or one more along a direction.
-
-    (1,) of all parameters; or (2,) of all else, and of those along the direction.
-    """
-
-    count: int  # k
-    unit: Array | None  # (n,) the direction of parameters (K, n) of each actuator, of length 1
-
-    @classmethod
-    def of(cls, derivative: Derivative) -> Spreads:
-        """Return the components of the parameters of an effect."""
-        along = derivative.direction
-        return cls(derivative.count, None if along is None else along / np.linalg.norm(along))
-
-    def along(self, values: Array) -> Array:
-        """Return (K,) parameters along the direction of (k,), or (K, K) of a (k, k) matrix."""
-        assert self.unit is not None  # asked only of effects with a direction
-        n = len(self.unit)
-        each = values.reshape((len(values) // n, n) * values.ndim) @ self.unit
-        return np.asarray(each if values.ndim == 1 else np.einsum("kil,i->kl", each, self.unit))
-
-    def _parts(self, whole: float, along: float) -> Array:
-        return np.array([whole] if self.unit is None else [whole - along, along])
-
-    def sizes(self) -> Array:
-        """Return the (1,) or (2,) number of parameters of each component."""
-        files = 0.0 if self.unit is None else self.count / len(self.unit)
-        return self._parts(self.count, files)
-
-    def squares(self, theta: Array) -> Array:
-        """Return the (1,) or (2,) sum of the squares of (k,) parameters of each component."""
-        along = 0.0 if self.unit is None else float(np.sum(self.along(theta) ** 2))
-        return self._parts(float(theta @ theta), along)
-
-    def precision(self, variances: Array) -> Array:
-        """Return the (k, k) inverse of the prior covariance."""
-        diagonal = np.diag(np.full(self.count, 1.0 / variances[0]))
-        if self.unit is None:
-            return diagonal
-        apart = 1.0 / variances[1] - 1.0 / variances[0]
-        files = np.eye(self.count // len(self.unit))
-        return np.asarray(diagonal + np.kron(files, apart * np.outer(self.unit, self.unit)))
-
-    def determined(self, covariance: Array, variances: Array) -> Array:
-        """Return the (1,) or (2,) nu of each component, from the (k, k) covariance."""
-        along = 0.0 if self.unit is None else float(np.trace(self.along(covariance)))
-        parts = self._parts(float(np.trace(covariance)), along)
-        return np.asarray(self.sizes() - parts / variances)
-
-
-def correction(fit: FittedRows, effect: Effect) -> Correction | None:
-    """Estimate an effect together with alpha; None if it does not converge, or is too large."""
-    first = effect.derivative(fit)
-    # A matrix of 10,000 parameters takes 0.8 GB, and several are needed.
-    if first is None or first.count > 10_000:
-        return None
-    result, theta, spreads = scored(fit, first), np.zeros(first.count), Spreads.of(first)
-    # A first spread from the score itself: U U' = V of the effect, on the average.
-    size = np.trace(result.variance) / np.sum(result.variance**2)
-    variance = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
-    variances = np.full(len(spreads.sizes()), variance)
-    at, derivative, settled, seen = fit, first, False, None
-    for _ in range(30):
-        precision = spreads.precision(variances)
-        try:  # an effect without any size does not converge
-            inverse = _covariance(result.information, precision)
-        except np.linalg.LinAlgError:
-            return None
-        step = -inverse @ (result.score + precision @ theta)
-        nu = np.maximum(spreads.determined(inverse, variances), 1e-3)
-        seen = nu if seen is None else np.maximum(seen, nu)
-        # Theta has converged if its step is below 0.01 standard errors.
-        if settled and float(step @ result.information @ step) < 1e-4:
-            wide = variances * (1.0 + (excess_of_t(seen) - 1.0) * seen / nu)
-            inverse = _covariance(result.information, spreads.precision(wide))
-            fitted = at.problem.with_error(at.minimum, result.moves, inverse)
-            return Correction(theta, inverse, float(nu.sum()), variances, at.moments, *fitted)
-        theta = theta + step
-        before, variances = variances, np.maximum(spreads.squares(theta) / nu, 1e-300)
-        # A spread has converged if it moves by less than 1 % of the scatter of its parameters.
-        settled = bool((np.abs(variances - before) < 1e-2 * variances * seen / nu).all())
-        problem, moments = derivative.remove(fit.problem, fit.moments, theta)
-        problem = _with_new_noise(problem, moments)
-        try:
-            minimum = problem.fitted(moments, at.minimum.values)
-        except (NotConverged, RankDeficient):
-            return None
-        removed = fit.removed + fit.moments.mean - moments.mean
-        at = FittedRows(problem, moments, minimum, fit.independent, removed, first.actuators)
-        again = effect.derivative(at)
-        if again is None:
-            return None
-        derivative, result = again, scored(at, again)
-    return None
-
-
-def _covariance(information: Array, precision: Array) -> Array:
-    """Return the (k, k) covariance of theta."""
-    whole = information + precision
-    return inverse_of_positive(0.5 * (whole + whole.T), overwrite=True)
-
-
-def excess_of_t(freedom: Array) -> Array:
-    """Return (...,) the square of the 95 % limit of Student's t over that of a normal number.
-
-    A variance of fewer than one parameter is taken for one of one.
-    """
-    tail = 0.5 * (1.0 - 0.95)
-    return np.asarray((t_isf(tail, np.maximum(freedom, 1.0)) / normal_isf(tail)) ** 2)
-
-
-def _with_new_noise(problem: Problem, moments: Moments) -> Problem:
-    """Return the problem with the noise of repeats without the effect."""
-    if problem.noise.source != NoiseSource.REPEATS:
-        return problem
-    noise = reading_noise(problem.campaign, moments)
-    share, freedom = problem.noise.share, problem.noise.share_freedom
-    return replace(problem, noise=replace(noise, share=share, share_freedom=freedom))
 
 
 # -- effects that the data cannot show -------------------------------------------------------------

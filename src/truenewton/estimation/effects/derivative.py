@@ -13,23 +13,28 @@ reading, e the unknowns of the fit and H, D as in `likelihood`:
     at the fit     B = (M_te - D_te) H^-1,      V = M_tt - M_te B' - B M_et + B M B'
 
 V is the covariance of U_t, and alpha and the other unknowns move by -B' theta.
+
+Several effects are one theta, and these sums contain every pair of them. If the fit contains
+effects already, with the inverse C of their information and prior, a further one has
+
+    V_t - I_ta C I_at,      I = M - D - M_te H^-1 M_et of both,
+
+so that it is tested with all else free.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.special
 from numpy.typing import NDArray
 from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from truenewton.arrays import Array
-from truenewton.chance import OF_EACH_KIND
 from truenewton.estimation.likelihood import Minimum
 from truenewton.estimation.paper.equations import imbalance_covariance
 from truenewton.estimation.problem import Problem
@@ -266,17 +271,38 @@ class OfEach:
 
 
 @dataclass(frozen=True, eq=False)
+class Columns:
+    """Sums over the rows of a fit, of K columns of readings of k different means over groups."""
+
+    slices: dict[str, slice]  # the columns of each field
+    kind: NDArray[np.intp]  # (K,) which of the k means a column has
+    # (K, n) and (K, K, n) of what pooled rows leave, of each actuator; 0 if readings are dependent
+    score: Array
+    gram: Array
+    own: Array  # (K, K, n) sums of products within groups, where columns differ from their means
+    square: Array  # (k, k, n) sums over the R rows of products of U' r h e
+    jacobian: Array  # (R, 3, k) J of sizes that all actuators share
+    pull: Array  # (3, k, n) sums over the R rows of S^-1/2 rho times U' r h e
+    noise: Array  # (n,) s^2
+
+
+def mixed(mix: Array, values: Array, other: Array) -> Array:
+    """Return (k, l, n) mix' v other of values v (K, L, n) of each actuator."""
+    return np.asarray(np.einsum("kl,kmn,mo->lon", mix, values, other, optimize=True))
+
+
+@dataclass(frozen=True, eq=False)
 class Derivative:
     """The derivative of a fit with respect to k parameters of an effect."""
 
-    count: int  # K
-    remove: Removal  # takes an effect of (k,) parameters out of the data
+    count: int  # k
     jacobian: Array | None = None  # (R, 3, k) J; None if each actuator has parameters of its own
     of_each: OfEach | None = None  # J of these
-    # (k,) and (k, k) of the residual of the means, 0 if it does not depend on the effect; (K, K, n)
-    # if each actuator has K parameters, as those of different ones are independent
-    score: Array | float = 0.0
-    information: Array | float = 0.0
+    # The columns of an effect on readings, and (K, m) their sizes by the m parameters that all
+    # actuators share, or that each has
+    columns: Columns | None = None
+    weights: Array | None = None
+    remove: Removal | None = None  # takes (k,) parameters out of the balance, or of the arms
     # Makes (k, n) D_te on alpha and (k, k) D_tt; None if noise of fitted readings does not bias the
     # score
     spurious: Callable[[], tuple[Array, Array | float]] | None = None
@@ -285,18 +311,105 @@ class Derivative:
     # (n,) of (K, n) parameters of each actuator, along which they have a spread of their own
     direction: Array | None = None
 
+    @cached_property
+    def some(self) -> Some:
+        """The actuators that have parameters."""
+        return slice(None) if self.actuators is None else self.actuators
+
+    def sizes(self, theta: Array) -> Array | float:
+        """Return (K, n) sizes of the columns of each actuator, from (k,) parameters."""
+        if self.weights is None or self.columns is None:
+            return 0.0
+        if self.of_each is None:
+            return (self.weights @ theta)[:, None]
+        sizes = np.zeros(self.columns.score.shape)
+        sizes[:, self.some] = self.weights @ theta.reshape(self.weights.shape[1], -1)
+        return sizes
+
+    @cached_property
+    def score(self) -> Array:
+        """(k,) score by the residual of the means; 0 if it does not depend on the effect."""
+        if self.columns is None or self.weights is None:
+            return np.zeros(self.count)
+        each = self.weights.T @ self.columns.score
+        return np.asarray(each.sum(axis=1) if self.of_each is None else each[:, self.some].ravel())
+
+    @cached_property
+    def information(self) -> Array | None:
+        """(m, m, n) information of each actuator by the residual of the means; None without."""
+        if self.columns is None or self.weights is None or not self.columns.gram.any():
+            return None
+        each = mixed(self.weights, self.columns.gram, self.weights)
+        return np.asarray(each if self.of_each is None else each[:, :, self.some])
+
+
+def residual_information(one: Derivative, other: Derivative) -> Array | float:
+    """Return (k, l) information of two effects by the residual of the means."""
+    if one.columns is None or one.weights is None or other.weights is None:
+        return 0.0
+    each = mixed(one.weights, one.columns.gram, other.weights)
+    m, o, n = each.shape
+    if one.of_each is None and other.of_each is None:
+        return np.asarray(each.sum(axis=2))
+    if one.of_each is None:
+        return np.asarray(each[:, :, other.some].reshape(m, -1))
+    if other.of_each is None:
+        return np.asarray(np.moveaxis(each[:, :, one.some], 2, 1)).reshape(-1, o)
+    whole, at = np.zeros((m, n, o, n)), np.arange(n)
+    whole[:, at, :, at] = np.moveaxis(each, 2, 0)
+    return whole[:, at[one.some]][:, :, :, at[other.some]].reshape(one.count, other.count)
+
+
+@dataclass(frozen=True, eq=False)
+class _White:
+    """S^-1/2 J of k parameters: (R, 3, k), or (3, k) of each actuator times its (R, k) rows."""
+
+    rows: Array
+    pulled: Array | None
+
+    @classmethod
+    def of(cls, fit: FittedRows, derivative: Derivative) -> _White:
+        of_each = derivative.of_each
+        if of_each is not None:
+            return cls(of_each.rows(), fit.root @ of_each.arms)
+        jacobian = np.asarray(derivative.jacobian)
+        return cls(np.einsum("ab,rbk->rak", fit.root, jacobian, optimize=True), None)
+
+    def dot(self, other: _White) -> Array:
+        """Return (k, l) sum of J' S^-1 J."""
+        k, o = self.rows.shape[-1], other.rows.shape[-1]
+        if self.pulled is None and other.pulled is None:
+            return np.asarray(self.rows.reshape(-1, k).T @ other.rows.reshape(-1, o))
+        if self.pulled is not None and other.pulled is None:
+            return other.dot(self).T
+        assert other.pulled is not None
+        times = other.pulled.shape[1] // o
+        if self.pulled is None:
+            each = np.tensordot(self.rows, other.rows, axes=(0, 0))  # (3, k, l)
+            return np.asarray(np.einsum("akl,al->kl", np.tile(each, times), other.pulled))
+        square = np.tile(self.rows.T @ other.rows, (self.pulled.shape[1] // k, times))
+        return np.asarray((self.pulled.T @ other.pulled) * square)
+
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Score and information of an effect at a fit; k parameters, `free` unknowns of the fit."""
+    """Score and information of effects at a fit; k parameters, `free` unknowns of the fit."""
 
     fit: FittedRows  # the fit
+    derivatives: tuple[Derivative, ...]
     score: Array  # (k,) U_t
-    joint: Array  # (k, k) M_tt
+    balance: Array  # (k, k) the part of M_tt by the balance
+    residual: Array  # (k, k) and by the residual of the means
     half: Array  # (free, k) L^-1 (M_te - D_te)', L the Cholesky factor of H
     # (k, n) D_te on alpha, None if there is none, and (k, k) D_tt
     spurious: Array | None
     spurious_information: Array | float
+    white: tuple[_White, ...] = ()
+
+    @cached_property
+    def joint(self) -> Array:
+        """(k, k) M_tt."""
+        return np.asarray(self.balance + self.residual)
 
     @cached_property
     def whole(self) -> Array:
@@ -309,18 +422,29 @@ class Scored:
         return self.fit.solved(self.half).T
 
     @cached_property
-    def _by_fit(self) -> Array:
-        return np.asarray(self.half.T @ self.half)
+    def by_balance(self) -> Array:
+        """(k, k) information on the effects by the balance, if the fit is free."""
+        return np.asarray(self.balance - self.spurious_information - self.half.T @ self.half)
 
     @cached_property
     def information(self) -> Array:
-        """(k, k) H_tt - H_te H^-1 H_et: information on the effect if all else is free."""
-        return np.asarray(self.joint - self.spurious_information - self._by_fit)
+        """(k, k) H_tt - H_te H^-1 H_et: information on the effects if all else is free."""
+        return np.asarray(self.by_balance + self.residual)
+
+    def with_others(self, others: Scored) -> Array:
+        """Return (k, l) the same of these effects and others."""
+        blocks = [
+            [a.dot(b) + residual_information(one, other)
+             for other, b in zip(others.derivatives, others.white, strict=True)]
+            for one, a in zip(self.derivatives, self.white, strict=True)
+        ]  # fmt: skip
+        return np.asarray(np.block(blocks) - self.half.T @ others.half)
 
     @cached_property
     def variance(self) -> Array:
         """(k, k) V."""
-        variance, n, minimum = self.joint - self._by_fit, self.fit.problem.n, self.fit.minimum
+        variance, n = self.joint - self.half.T @ self.half, self.fit.problem.n
+        minimum = self.fit.minimum
         # B M B' = (M_te - D_te) B' + B D B', as M = H + D at the fit.
         if minimum.noise_share > NEGLIGIBLE_NOISE_SHARE:
             on_alpha, noise = self.moves[:, :n], minimum.noise_information
@@ -332,37 +456,37 @@ class Scored:
         return np.asarray(variance)
 
 
-def scored(fit: FittedRows, derivative: Derivative) -> Scored:
-    """Return score and information of an effect."""
-    if derivative.jacobian is not None:
-        white = np.einsum("ab,rbk->rak", fit.root, derivative.jacobian, optimize=True)
-        flat = white.reshape(-1, derivative.count)
-        score, joint, cross = flat.T @ fit.white_rho, flat.T @ flat, fit.cross(white)
-    else:
-        of_each = derivative.of_each
-        assert of_each is not None  # one of the two is
-        rows, pulled = of_each.rows(), fit.root @ of_each.arms
-        square = rows.T @ rows
-        score, cross = of_each.score, fit.cross_of_each(of_each, rows, pulled)
-        joint = (pulled.T @ pulled) * np.tile(square, (pulled.shape[1] // len(square),) * 2)
-    joint += _of_all(derivative.information)
-    spurious, spurious_information = derivative.spurious() if derivative.spurious else (None, 0.0)
-    if spurious is not None:
-        cross[:, : fit.problem.n] -= spurious  # M_te - D_te
-    score = score + derivative.score
+def scored(fit: FittedRows, *derivatives: Derivative) -> Scored:
+    """Return score and information of some effects."""
+    n, white = fit.problem.n, tuple(_White.of(fit, each) for each in derivatives)
+    ends = np.cumsum([each.count for each in derivatives])
+    at = [slice(end - each.count, end) for end, each in zip(ends, derivatives, strict=True)]
+    score, cross = np.empty(ends[-1]), np.empty((ends[-1], fit.free))
+    balance, residual = np.empty((2, ends[-1], ends[-1]))
+    spurious, spurious_information = np.zeros((ends[-1], n)), np.zeros((ends[-1],) * 2)
+    biased = False
+    for first, (one, of_one, k) in enumerate(zip(derivatives, white, at, strict=True)):
+        if one.of_each is None:
+            score[k] = of_one.rows.reshape(-1, one.count).T @ fit.white_rho
+            cross[k] = fit.cross(of_one.rows)
+        else:
+            assert of_one.pulled is not None
+            score[k] = one.of_each.score
+            cross[k] = fit.cross_of_each(one.of_each, of_one.rows, of_one.pulled)
+        score[k] += one.score
+        if one.spurious is not None:
+            biased = True
+            spurious[k], spurious_information[k, k] = one.spurious()
+            cross[k, :n] -= spurious[k]  # M_te - D_te
+        for other, of_other, j in list(zip(derivatives, white, at, strict=True))[first:]:
+            balance[k, j] = of_one.dot(of_other)
+            residual[k, j] = residual_information(one, other)
+            balance[j, k], residual[j, k] = balance[k, j].T, residual[k, j].T
+    half = fit.half_solved(cross, overwrite=True)
     return Scored(
-        fit, score, joint, fit.half_solved(cross, overwrite=True), spurious, spurious_information
-    )
-
-
-def _of_all(information: Array | float) -> Array | float:
-    """Return (k, k) information, (K, K, n) that of each actuator spread out."""
-    if isinstance(information, float) or information.ndim == 2:
-        return information
-    k, _, n = information.shape
-    whole = np.zeros((k, n, k, n))
-    whole[:, np.arange(n), :, np.arange(n)] = np.moveaxis(information, 2, 0)
-    return whole.reshape(k * n, k * n)
+        fit, derivatives, score, balance, residual, half,
+        spurious if biased else None, spurious_information, white,
+    )  # fmt: skip
 
 
 def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, Array, Array] | None:
@@ -388,112 +512,8 @@ def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, A
             blocks.append(least.reshape(2, -1))
         return of_each.score, of_each.whole, np.hstack(blocks).ravel()
     information = derivative.information
-    if isinstance(information, float):
+    if information is None:
         return None
     of_means = np.einsum("kkn->kn", information).ravel()
     least = of_means - 2 * NEGLIGIBLE_NOISE_SHARE * of_each.whole
     return of_each.score + derivative.score, of_each.whole + of_means, least
-
-
-# -- the score test -------------------------------------------------------------------------------
-
-MAX_EXACT_PARAMETERS = 30  # whose V is inverted
-MAX_PARAMETERS_PER_ACTUATOR = 2  # beyond which only the residual of the means is used
-
-Chi2 = tuple[float, float, float]
-"""chi^2, its degrees of freedom, and the logarithm of the probability of a larger one."""
-
-
-def chi2_of(
-    fit: FittedRows, derivatives: Sequence[Derivative], *, bounded: bool = False
-) -> list[Chi2 | None]:
-    """Return the score tests of some effects at a fit without them.
-
-    For few parameters U' V^-1 U over the directions that the data constrain is chi^2 of as many
-    degrees of freedom. For many, in units that make the diagonal of V 1, U' U is compared with
-    tr V chi^2(nu) / nu, nu = (tr V)^2 / tr V^2. None if the data contain no information.
-    ``bounded``: tr V^2 is computed only if tr V is not sufficient; otherwise chi^2 is stated as 0.
-    """
-    # A direction is tested if the data contain so much information on it, relative to all else
-    # known. More if readings share noise: c^ is uncorrelated with rho only if rho contains no noise
-    # of the readings, and the correlation biases scores with little information.
-    least = 1e-2 if np.any(fit.problem.disturbance) else 1e-6
-    found = list[Chi2 | None]()
-    for derivative in derivatives:
-        if bounded and surely_sound(fit, derivative, least):
-            found.append((0.0, 1.0, 0.0))
-            continue
-        if derivative.count > MAX_PARAMETERS_PER_ACTUATOR * fit.problem.n:
-            chi2 = _chi2_by_structure(derivative)
-        else:
-            chi2 = _chi2_by_score(scored(fit, derivative), least)
-        found.append(chi2 and (*chi2, float(log_chance(*chi2))))
-    return found
-
-
-def surely_sound(fit: FittedRows, derivative: Derivative, least: float) -> bool:
-    """Return whether an effect of many parameters is insignificant even as the only one tested.
-
-    With f = U' U / tr V the probability is that of chi^2(nu) > f nu, and tr V is at least what is
-    used here. nu lies between 1 and the number of parameters; as nu grows the probability first
-    grows, then falls, so that it is smallest at one of the ends.
-    """
-    k = derivative.count
-    if not MAX_EXACT_PARAMETERS < k <= MAX_PARAMETERS_PER_ACTUATOR * fit.problem.n:
-        return False
-    at_least = variance_at_least(fit, derivative)
-    if at_least is None:
-        return False
-    score, whole, variance = at_least
-    if not (variance > least * whole).all():
-        return False
-    f = float(np.sum(score**2 / whole) / np.sum(variance / whole))
-    nu = np.array([1.0, k])
-    return bool(log_chance(f * nu, nu).min() > np.log(OF_EACH_KIND))
-
-
-def _chi2_by_score(result: Scored, least: float) -> tuple[float, float] | None:
-    """Return chi^2 and degrees of freedom by score and variance; None without information."""
-    whole, variance = result.whole, result.variance
-    seen = np.diag(variance) > least * whole
-    if not seen.any():
-        return None
-    unit = 1.0 / np.sqrt(whole[seen])
-    u = result.score[seen] * unit
-    v = variance[np.ix_(seen, seen)] * unit[:, None] * unit
-    if len(u) > MAX_EXACT_PARAMETERS:
-        scale = float(np.sum(v**2) / np.trace(v))
-        return float(u @ u) / scale, float(np.trace(v)) / scale
-    values, vectors = np.linalg.eigh(v)
-    held = values > max(1e-4 * values[-1], least)
-    if not held.any():
-        return None
-    chi2 = float(np.sum((vectors[:, held].T @ u) ** 2 / values[held]))
-    return chi2, float(np.count_nonzero(held))
-
-
-def _chi2_by_structure(derivative: Derivative) -> tuple[float, float] | None:
-    """Return the same of several parameters of each actuator, by the residual of the means."""
-    information, score = derivative.information, derivative.score
-    if isinstance(information, float) or isinstance(score, float) or not information.any():
-        return None
-    chi2, held = chi2_of_each(score.reshape(information.shape[1:]), information)
-    return float(chi2.sum()), float(held.sum())
-
-
-def chi2_of_each(score: Array, information: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return (n,) chi^2 of (K, n) scores of (K, K, n) information, and their freedom."""
-    values, vectors = np.linalg.eigh(np.moveaxis(information, 2, 0))
-    held = values > 1e-4 * values.max()  # directions that the data constrain
-    along = np.einsum("nab,an->nb", vectors, score)
-    each = np.where(held, along**2 / np.where(held, values, 1.0), 0.0)
-    return np.sum(each, axis=1), np.count_nonzero(held, axis=1)
-
-
-def log_chance(chi2: Array | float, freedom: Array | float) -> Array:
-    """Return the logarithm of the probability of a larger chi^2, however small it is, (...,)."""
-    chance, half = scipy.special.chdtrc(freedom, chi2), 0.5 * np.asarray(freedom)
-    # Where that is 0, the first term of the incomplete Gamma function's expansion.
-    far = np.maximum(0.5 * np.asarray(chi2), 1e-300)
-    small = (half - 1.0) * np.log(far) - far - scipy.special.gammaln(half)
-    return np.where(chance > 0.0, np.log(np.where(chance > 0.0, chance, 1.0)), small)

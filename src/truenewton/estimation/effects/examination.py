@@ -1,10 +1,10 @@
 """The examination of a fit: which effects the data contain, which are taken out, and what is left.
 
-The likeliest effect is estimated together with alpha, then the catalogue is tested again, at most
-four times. A correction is accepted only if both the balance of the shapes and their repetition
-over loads and signs fit afterwards. Of similarly likely effects the one with the fewest parameters
-is taken. If no correction makes the data fit, none is taken out, and the errors grow with the
-misfit.
+The likeliest effect is fitted together with alpha and with all effects before it (`joint`); then
+the others are tested again, with all these free, until none is significant. Of similarly likely
+effects the one with the fewest parameters is taken, and of as many the one that the data support
+most. The fit is accepted only if both the balance of the shapes and their repetition over loads and
+signs fit. Otherwise no effect is taken out, and the errors grow with the misfit.
 """
 
 from __future__ import annotations
@@ -21,20 +21,22 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.effects.catalogue import (
     LOAD_REPOSITIONED,
     ZEROS_OF_EACH,
+    Effect,
     EffectTest,
     beside_shared_noise,
     effect_tests,
     significant_tests,
 )
-from truenewton.estimation.effects.correction import (
-    Correction,
-    Spreads,
-    UnknownForce,
+from truenewton.estimation.effects.correction import UnknownForce, disturbed, unknown_force
+from truenewton.estimation.effects.derivative import FittedRows, scored
+from truenewton.estimation.effects.joint import (
+    MAX_PARAMETERS,
+    Joint,
+    Part,
     correction,
-    disturbed,
-    unknown_force,
+    joined,
+    new_part,
 )
-from truenewton.estimation.effects.derivative import FittedRows
 from truenewton.estimation.findings.code import LIMITS, Code
 from truenewton.estimation.findings.estimate import (
     ErrorKind,
@@ -52,7 +54,8 @@ from truenewton.estimation.readings.moments import (
 from truenewton.records.campaign import Campaign, load_temperatures
 from truenewton.statics.load import leaning
 
-MAX_EFFECTS = 4  # effects at once
+MAX_SIMILAR = 4  # effects that are tried
+MIN_GAIN = 4.0  # of the logarithm of the likelihood, twice: evidence of 7 to 1 for an effect
 MAX_UNKNOWN_FORCES = 2  # actuators with unknown forces: three can explain any imbalance
 MAX_REDUCED_CHI2 = 2.0  # chi^2 over degrees of freedom that unknown forces, not normal, may leave
 MIN_SEEN_SPREAD = 0.5  # of tau^2: the part of a spread of zeros that the data must contain
@@ -220,46 +223,98 @@ def _pooled(
 def _corrected(
     start: ExaminedFit, *, independent: bool, samples: Array, within: bool = False
 ) -> tuple[ExaminedFit | None, ExaminedFit]:
-    """Return the fit with the likeliest effects taken out until all fits; None if that fails.
+    """Return the fit together with all effects that the data show; None if that does not fit.
 
     Also the fit with the first effect named, in case it cannot be taken out. With ``within`` the
     first is an effect by which rows of one group differ, which looked like shared noise.
     """
-    now, first = start, start
-    for _ in range(MAX_EFFECTS):
-        fit = now.rows
-        if not independent:
-            fit = FittedRows(now.problem, now.moments, now.minimum, independent)
-        found = significant_tests(effect_tests(fit, bounded=True))
-        shared = within and not now.effects  # noise, or such an effect
+    base = start.rows
+    if not independent:
+        base = FittedRows(start.problem, start.moments, start.minimum, independent)
+    joint: Joint | None = None
+    now, first, tried = start, start, set[Code]()
+    while True:
+        fit, parts, given = base, tuple[Part, ...](), None
+        if joint is not None:
+            fit, parts, given = joint.at, joint.parts, (joint.scored, joint.covariance)
+        without = tried | {part.effect.code for part in parts}
+        found = effect_tests(fit, given, without, bounded=True)
+        shared = within and joint is None  # noise, or such an effect
         if shared:
             found = beside_shared_noise(found, fit, samples)
+        found = significant_tests(found)
         if not found:
             return (now if now.fits else None), first
         if not first.effects:
-            first = replace(start, effects=(_found(fit, found[0], None),))
+            first = replace(start, effects=(_named(fit, found[0]),))
         force = None if shared else unknown_force(fit)
         if force is not None and force.log_probability < found[0].log_probability:
             return _with_unknown_forces(now), first
-        after = None
+        best: tuple[ExaminedFit, Joint] | None = None
         for test in _similar(found):
-            corrected = correction(fit, test.effect)
-            if corrected is None:
-                continue
-            trial = _after(now, fit, _as_mounting(test, corrected), corrected, samples)
-            if trial.fits or after is None:
-                after = trial
-            if trial.fits:
+            # The fewest parameters that fit; of as many, what the data support most.
+            if best and best[0].fits and test.derivative.count > best[1].parts[-1].count:
                 break
-        if after is None:
-            return None, first
-        if after.fits and not after.effects[-1].corrected:
-            return None, after
-        if not now.effects:
-            left_in = replace(after.effects[0], corrected=False)
-            first = replace(after, effects=(left_in,))
-        now = after
-    return (now if now.fits else None), first
+            trial = _entered(base, fit, parts, test)
+            if trial is None:
+                tried.add(test.effect.code)
+                continue
+            fitted = _with(start, trial, samples)
+            if (
+                best is None
+                or (fitted.fits and not best[0].fits)
+                or (fitted.fits and trial.parts[-1].gain > best[1].parts[-1].gain)
+            ):
+                best = fitted, trial
+        if best is None:
+            continue
+        now, joint = best
+        tried |= {part.effect.code for part in parts} - {part.effect.code for part in joint.parts}
+        if now.fits and now.effects and not now.effects[-1].corrected:
+            return None, now
+        if not parts:
+            first = replace(now, effects=(replace(now.effects[0], corrected=False),))
+
+
+def _entered(
+    base: FittedRows, fit: FittedRows, parts: tuple[Part, ...], test: EffectTest
+) -> Joint | None:
+    """Return the joint fit with one more effect; None if it fails, or the data do not support it.
+
+    An effect that the data support no longer beside the new one is left out.
+    """
+    if test.derivative.count > MAX_PARAMETERS:
+        return None
+    result = scored(fit, test.derivative)
+    new = new_part(test.effect, test.derivative, result.score, result.variance)
+    new = replace(new, log_probability=test.log_probability)
+    joint = joined(base, (*parts, new), fit)
+    while joint is not None:
+        if joint.parts[-1].effect is not test.effect:
+            return None
+        least = min(joint.parts, key=lambda part: part.gain)
+        if least.gain > MIN_GAIN:
+            return joint
+        if least.effect is test.effect:
+            return None
+        joint = joined(base, [part for part in joint.parts if part is not least], joint.at)
+    return None
+
+
+def _with(start: ExaminedFit, joint: Joint, samples: Array) -> ExaminedFit:
+    """Return the fit together with effects."""
+    structure = start.structure
+    if structure is not None:
+        structure = structure_of(joint.moments, joint.problem.noise, samples)
+    return replace(
+        start,
+        problem=joint.problem,
+        moments=joint.moments,
+        minimum=joint.minimum,
+        effective_parameters=joint.effective_parameters,
+        effects=tuple(_found(joint.at, part) for part in joint.parts),
+        structure=structure,
+    )
 
 
 def _with_unknown_forces(now: ExaminedFit) -> ExaminedFit | None:
@@ -329,92 +384,66 @@ def _similar(found: list[EffectTest]) -> list[EffectTest]:
     """Return the likeliest effects, the one with the fewest parameters first; at most four."""
     best = found[0].log_probability
     some = [test for test in found if test.log_probability <= SIMILAR_LOG_PROBABILITY * best][
-        :MAX_EFFECTS
+        :MAX_SIMILAR
     ]
     return sorted(some, key=lambda test: test.derivative.count)
 
 
-def _as_mounting(test: EffectTest, corrected: Correction) -> EffectTest:
+def _effect_of(part: Part) -> Effect:
     """Return zeros of each actuator as a repositioned load if they leave the sum of forces alone.
 
     Zeros of spread tau would move the sums by tau |nz alpha| in each file, and so spread the scale.
     The load is named unless the sums move less than chance would have it once in a hundred times.
     """
-    if test.effect is not ZEROS_OF_EACH:
-        return test
-    spreads, tau2 = Spreads.of(test.derivative), corrected.variances[0]
+    if part.effect is not ZEROS_OF_EACH:
+        return part.effect
+    assert part.covariance is not None  # it is at the end
+    spreads, tau2 = part.spreads, part.variances[0]
     # The sums and their covariance as if they had the spread tau.
-    known = np.linalg.inv(spreads.along(corrected.covariance))
-    sums = known @ spreads.along(corrected.theta)
-    covariance = np.linalg.inv(known + np.eye(len(sums)) * (1 / tau2 - 1 / corrected.variances[1]))
+    known = np.linalg.inv(spreads.along(part.covariance))
+    sums = known @ spreads.along(part.theta)
+    covariance = np.linalg.inv(known + np.eye(len(sums)) * (1 / tau2 - 1 / part.variances[1]))
     sums = covariance @ sums
     values, vectors = np.linalg.eigh(tau2 * np.eye(len(sums)) - covariance)
     seen = values > MIN_SEEN_SPREAD * tau2
     chi2 = float(np.sum((vectors[:, seen].T @ sums) ** 2 / values[seen]))
     if not seen.any() or chi2_cdf(chi2, np.count_nonzero(seen)) > FALSE_ALARM:
-        return test
-    return replace(test, effect=LOAD_REPOSITIONED)
+        return part.effect
+    return LOAD_REPOSITIONED
 
 
-def _after(
-    now: ExaminedFit,
-    fit: FittedRows,
-    test: EffectTest,
-    corrected: Correction,
-    samples: Array,
-) -> ExaminedFit:
-    """Return the fit after a correction."""
-    structure = now.structure
-    if structure is not None:
-        structure = structure_of(corrected.moments, corrected.problem.noise, samples)
-    effective_parameters = (
-        0.0 if np.any(test.derivative.information) else corrected.effective_parameters
-    )
-    return replace(
-        now,
-        problem=corrected.problem,
-        moments=corrected.moments,
-        minimum=corrected.minimum,
-        effective_parameters=now.effective_parameters + effective_parameters,
-        effects=_with_one_more(now.effects, _found(fit, test, corrected)),
-        structure=structure,
-    )
+def _named(fit: FittedRows, test: EffectTest) -> Finding:
+    """Return the finding of an effect that is not taken out."""
+    return _finding(fit, test.effect, test.log_probability, corrected=False)
 
 
-def _with_one_more(effects: tuple[Finding, ...], more: Finding) -> tuple[Finding, ...]:
-    """Return effects with one more; if it was found before, with the sum of both sizes."""
-    before = [effect for effect in effects if effect.code == more.code]
-    if not before:
-        return (*effects, more)
-    size = more.size + before[0].size
-    return tuple(replace(one, size=size) if one is before[0] else one for one in effects)
-
-
-def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> Finding:
-    """Return the finding of an effect."""
-    campaign, effect = fit.problem.campaign, test.effect
-    theta = np.zeros(test.derivative.count) if corrected is None else corrected.theta
+def _found(fit: FittedRows, part: Part) -> Finding:
+    """Return the finding of an effect in a fit."""
+    campaign, effect, theta = fit.problem.campaign, _effect_of(part), part.theta
     worst = int(np.abs(theta).argmax())
     where, actuators = "", tuple[int, ...]()
-    if corrected is not None and effect.of == "file":
+    if effect.of == "file":
         where = campaign.cycles[worst * len(campaign.cycles) // len(theta)].name
-    elif corrected is not None and effect.of == "actuator":
+    elif effect.of == "actuator":
         ids = campaign.layout.id[campaign.layout.enabled]
-        ids = ids if test.derivative.actuators is None else ids[test.derivative.actuators]
+        ids = ids if part.actuators is None else ids[part.actuators]
         actuators = (int(ids[worst % len(ids)]),)
         where = f"actuator {actuators[0]}"
-    elif corrected is not None and effect.of == "load":
+    elif effect.of == "load":
         loads = list(campaign.loads)
         if len(theta) < len(loads):  # under one there is none
             del loads[int(leaning(loads).argmin())]
         where = loads[worst * len(loads) // len(theta)].name
+    found = _finding(fit, effect, part.log_probability, corrected=effect.corrected(fit))
+    return replace(found, where=where, actuators=actuators, size=float(theta[worst]))
+
+
+def _finding(
+    fit: FittedRows, effect: Effect, log_probability: float, *, corrected: bool
+) -> Finding:
+    remedy = effect.remedy if isinstance(effect.remedy, str) else effect.remedy(fit)
+    chance = float(np.exp(log_probability))
     return Finding(
-        code=effect.code,
-        where=where,
-        actuators=actuators,
-        probability=float(np.exp(test.log_probability)),
-        size=float(theta[worst]),
-        unit=effect.unit,
-        corrected=corrected is not None and effect.corrected(fit),
-        remedy=effect.remedy if isinstance(effect.remedy, str) else effect.remedy(fit),
-    )
+        code=effect.code, probability=chance, size=0.0, unit=effect.unit, corrected=corrected,
+        remedy=remedy,
+    )  # fmt: skip

@@ -71,10 +71,11 @@ _NAMED_AS_THEIR_CODE = (
     Code.ZERO_BY_FILE_OF_EACH, Code.QUADRATIC_COIL, Code.QUADRATIC_COIL_OF_EACH,
     Code.CUBIC_COIL, Code.CUBIC_COIL_OF_EACH, Code.COIL_GRADIENT, Code.BIAS_GRADIENT,
     Code.CONTACT_IN_ONE_SIGN, Code.CONTACT_IN_ONE_SIGN_BY_LOAD, Code.POSITIONS,
-    Code.CORRELATED_NOISE,
+    Code.SHELL_CURVATURE, Code.CORRELATED_NOISE,
 )  # fmt: skip
 ENTRIES: dict[Code, Entry] = {
     **{code: Entry(code.replace("-", " ")) for code in _NAMED_AS_THEIR_CODE},
+    Code.ZERO_RANDOM_WALK: Entry("random walk of the zero"),
     Code.GAIN_BY_FILE_OF_SINGLE: Entry("gain of single actuators by file"),
     Code.WEIGHT_OF_LOAD: Entry("weight of a load"),
     Code.LOAD_REPOSITIONED: Entry("load repositioned between files"),

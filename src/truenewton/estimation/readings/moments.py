@@ -39,6 +39,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse
@@ -212,6 +213,14 @@ class Moments:
     displacement: Array | None = None
     step: Array | float = 0.0  # (n,) of which readings are multiples [N], or 0
     by_force: float = 0.0  # share of the variance of the noise that is in proportion to c^2
+
+    def with_forces(self, **changes: Any) -> Moments:
+        """Return the moments of the same rows with other forces."""
+        changed = replace(self, **changes)
+        for name in ("pooling", "of_load", "sizes", "size_of_groups"):
+            if name in self.__dict__:  # it does not depend on forces, and takes long
+                changed.__dict__[name] = self.__dict__[name]
+        return changed
 
     def noise_along(self, power: int) -> float:
         """Return the variance of the noise along c^power, relative to that of uniform noise."""
