@@ -31,7 +31,6 @@ def supported(gain):
     made = NS(effect="one", gain=gain)
     test = NS(effect="one", derivative=NS(count=1), log_probability=0.0)
     with (
-        mock.patch.object(examination, "scored", return_value=NS(score=0, variance=0)),
         mock.patch.object(examination, "new_part", return_value=made),
         mock.patch.object(examination, "replace", lambda one, **_: one),
         mock.patch.object(examination, "joined", return_value=NS(parts=(made,), at=None)),

@@ -467,15 +467,15 @@ def tested(
     derivative: Derivative,
     chi2: float,
     freedom: float,
-    log_probability: float | None,
+    log_probability: float,
 ) -> EffectTest:
     """Return the test of an effect by its chi^2.
 
     If the noise grows with the force, it does so along the pattern of the effect, too.
     """
     power = next((p for code, p in POWERS.items() if effect.code.startswith(code)), 0)
-    if log_probability is None or (power and fit.moments.by_force):
-        chi2 /= fit.moments.noise_along(power) if power else 1.0
+    if power and fit.moments.by_force:
+        chi2 /= fit.moments.noise_along(power)
         log_probability = float(log_chance(chi2, freedom))
     return EffectTest(effect, derivative, chi2, freedom, log_probability)
 

@@ -28,9 +28,8 @@ from truenewton.estimation.effects.catalogue import (
     significant_tests,
 )
 from truenewton.estimation.effects.correction import UnknownForce, disturbed, unknown_force
-from truenewton.estimation.effects.derivative import FittedRows, scored
+from truenewton.estimation.effects.derivative import FittedRows
 from truenewton.estimation.effects.joint import (
-    MAX_PARAMETERS,
     Joint,
     Part,
     correction,
@@ -270,7 +269,7 @@ def _corrected(
             continue
         now, joint = best
         tried |= {part.effect.code for part in parts} - {part.effect.code for part in joint.parts}
-        if now.fits and now.effects and not now.effects[-1].corrected:
+        if now.fits and not now.effects[-1].corrected:
             return None, now
         if not parts:
             first = replace(now, effects=(replace(now.effects[0], corrected=False),))
@@ -283,12 +282,10 @@ def _entered(
 
     An effect that the data support no longer beside the new one is left out.
     """
-    if test.derivative.count > MAX_PARAMETERS:
+    new = new_part(fit, test.effect, test.derivative)
+    if new is None:
         return None
-    result = scored(fit, test.derivative)
-    new = new_part(test.effect, test.derivative, result.score, result.variance)
-    new = replace(new, log_probability=test.log_probability)
-    joint = joined(base, (*parts, new), fit)
+    joint = joined(base, (*parts, replace(new, log_probability=test.log_probability)), fit)
     while joint is not None:
         if joint.parts[-1].effect is not test.effect:
             return None

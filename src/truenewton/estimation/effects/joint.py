@@ -135,11 +135,15 @@ class Joint:
     effective_parameters: float  # number of these that the balance determined
 
 
-def new_part(effect: Effect, derivative: Derivative, score: Array, variance: Array) -> Part:
-    """Return an effect with a first spread from its (k,) score and the (k, k) variance of that.
+def new_part(fit: FittedRows, effect: Effect, derivative: Derivative) -> Part | None:
+    """Return an effect with a first spread from its score in a fit; None if it is too large.
 
     U U' = V + V T V of the effect, on the average.
     """
+    if derivative.count > MAX_PARAMETERS:
+        return None
+    result = scored(fit, derivative)
+    score, variance = result.score, result.variance
     size = np.trace(variance) / np.sum(variance**2)
     first = float(max(np.sum(score**2) * size - 1.0, 1e-3)) * float(size)
     spreads = Spreads.of(derivative)
@@ -149,11 +153,9 @@ def new_part(effect: Effect, derivative: Derivative, score: Array, variance: Arr
 
 def correction(fit: FittedRows, effect: Effect) -> Joint | None:
     """Estimate an effect together with alpha; None if it does not converge, or is too large."""
-    first = effect.derivative(fit)
-    if first is None or first.count > MAX_PARAMETERS:
-        return None
-    result = scored(fit, first)
-    return joined(fit, (new_part(effect, first, result.score, result.variance),))
+    derivative = effect.derivative(fit)
+    part = derivative and new_part(fit, effect, derivative)
+    return joined(fit, (part,)) if part else None
 
 
 def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = None) -> Joint | None:
@@ -176,20 +178,18 @@ def joined(fit: FittedRows, parts: Sequence[Part], start: FittedRows | None = No
             inverse = _covariance(result.information, precision)
         except np.linalg.LinAlgError:
             return None
-        determined = [
-            float(part.spreads.determined(inverse[k, k], part.variances).sum())
-            for part, k in _places(parts)
-        ]
-        if iteration > 2 and min(determined) < MIN_DETERMINED:
-            index = int(np.argmin(determined))
+        nu = [part.spreads.determined(inverse[k, k], part.variances) for part, k in _places(parts)]
+        index = int(np.argmin([each.sum() for each in nu]))
+        if iteration > 2 and nu[index].sum() < MIN_DETERMINED:
             return joined(fit, (*parts[:index], *parts[index + 1 :]), at) if parts[1:] else None
         step = -inverse @ (result.score + precision @ theta)
-        parts = tuple(_with_nu(part, inverse[k, k]) for part, k in _places(parts))
+        seen = [np.maximum(part.seen, each) for part, each in zip(parts, nu, strict=True)]
+        parts = tuple(replace(part, seen=most) for part, most in zip(parts, seen, strict=True))
         # Theta has converged if its step is below 0.01 standard errors.
         if settled and float(step @ result.information @ step) < 1e-4:
-            return _ended(at, parts, result, inverse)
+            return _ended(at, parts, nu, result, inverse)
         theta = theta + step
-        parts, settled = _moved(parts, theta, inverse)
+        parts, settled = _moved(parts, nu, theta)
         effects = [(each, part.theta) for each, part in zip(derivatives, parts, strict=True)]
         problem, moments = removed(at, (fit.problem, fit.moments), effects)
         problem = _with_new_noise(problem, moments)
@@ -215,36 +215,31 @@ def _precision(parts: Sequence[Part], variances: Sequence[Array]) -> Array:
     return np.asarray(scipy.linalg.block_diag(*each))
 
 
-def _with_nu(part: Part, covariance: Array) -> Part:
-    """Return a part with the largest nu so far."""
-    nu = part.spreads.determined(covariance, part.variances)
-    return replace(part, seen=np.maximum(part.seen, nu), covariance=covariance)
-
-
-def _moved(parts: Sequence[Part], theta: Array, inverse: Array) -> tuple[tuple[Part, ...], bool]:
+def _moved(
+    parts: Sequence[Part], nu: Sequence[Array], theta: Array
+) -> tuple[tuple[Part, ...], bool]:
     """Return the parts with new parameters and spreads, and whether the spreads have converged.
 
     A spread has converged if it moves by less than 1 % of the scatter of its parameters.
     """
     moved, settled = [], True
-    for part, k in _places(parts):
-        before = part.variances
-        nu = np.maximum(part.spreads.determined(inverse[k, k], before), 1e-3)
-        variances = np.maximum(part.spreads.squares(theta[k]) / nu, 1e-300)
-        settled &= bool((np.abs(variances - before) < 1e-2 * variances * part.seen / nu).all())
+    for (part, k), each in zip(_places(parts), nu, strict=True):
+        before, least = part.variances, np.maximum(each, 1e-3)
+        variances = np.maximum(part.spreads.squares(theta[k]) / least, 1e-300)
+        settled &= bool((np.abs(variances - before) < 1e-2 * variances * part.seen / least).all())
         moved.append(replace(part, theta=theta[k], variances=variances))
     return tuple(moved), settled
 
 
-def _ended(at: FittedRows, parts: tuple[Part, ...], result: Scored, inverse: Array) -> Joint:
+def _ended(
+    at: FittedRows, parts: Sequence[Part], nu: Sequence[Array], result: Scored, inverse: Array
+) -> Joint:
     """Return the fit with the covariance of its effects."""
     wide, ended = [], []
-    for part, k in _places(parts):
-        own = inverse[k, k]
-        nu = np.maximum(part.spreads.determined(own, part.variances), 1e-3)
-        spread = 1.0 + (excess_of_t(np.asarray(part.seen)) - 1.0) * part.seen / nu
-        wide.append(part.variances * spread)
-        ended.append(replace(part, gain=_gain(part, own)))
+    for (part, k), each in zip(_places(parts), nu, strict=True):
+        excess = (excess_of_t(np.asarray(part.seen)) - 1.0) * part.seen / np.maximum(each, 1e-3)
+        wide.append(part.variances * (1.0 + excess))
+        ended.append(replace(part, gain=_gain(part, inverse[k, k])))
     covariance = _covariance(result.information, _precision(parts, wide))
     problem, minimum = at.problem.with_error(at.minimum, result.moves, covariance)
     parts = tuple(replace(part, covariance=covariance[k, k]) for part, k in _places(ended))
